@@ -1,0 +1,3 @@
+//! Devices: traits, drivers and the owners of their buses.
+
+pub mod wiring;

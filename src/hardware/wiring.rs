@@ -1,0 +1,87 @@
+//! Which device hangs on which bus, and which FREE it serves.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Every bus of the rig.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Wiring {
+    /// I2C buses.
+    pub i2c: Vec<I2cWiring>,
+    /// Serial lines.
+    pub serial: Vec<SerialWiring>,
+    /// A bus owner that sees the tick's command grow older than this commands zero by itself.
+    pub command_timeout: Duration,
+}
+
+/// One I2C bus.
+#[derive(Clone, Debug, PartialEq)]
+pub struct I2cWiring {
+    /// Name in rig.toml.
+    pub name: String,
+    /// Device file, `/dev/i2c-N`.
+    pub device: PathBuf,
+    /// IMUs on it.
+    pub imus: Vec<ImuWiring>,
+    /// DACs on it.
+    pub dacs: Vec<DacWiring>,
+}
+
+/// One BNO055.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImuWiring {
+    /// FREEs whose orientation it measures: one, or the four of a module's plate.
+    pub frees: Vec<usize>,
+    /// 0x28 or 0x29.
+    pub address: u8,
+    /// Reading period; the fusion output comes at 100 Hz.
+    pub period: Duration,
+    /// Saved calibration profile (registers 0x55..=0x6A), restored when connecting.
+    pub profile: Option<[u8; 22]>,
+}
+
+/// One MCP4728 (four channels).
+#[derive(Clone, Debug, PartialEq)]
+pub struct DacWiring {
+    /// 0x60..=0x67.
+    pub address: u8,
+    /// What hangs on the channels A to D.
+    pub channels: [Option<DacChannel>; 4],
+}
+
+/// An analogue pressure regulator behind one DAC channel, by its measured map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DacChannel {
+    /// FREE that it feeds.
+    pub free: usize,
+    /// Code at which the regulator begins to open (its measured zero).
+    pub zero_code: f64,
+    /// Pressure per code above it, Pa (its measured span).
+    pub pascals_per_code: f64,
+}
+
+/// One serial line.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SerialWiring {
+    /// Name in rig.toml.
+    pub name: String,
+    /// Device file, best from `/dev/serial/by-id`.
+    pub device: PathBuf,
+    /// 8N1 at this rate, Bd.
+    pub baud: u32,
+    /// Alicat units on it.
+    pub units: Vec<UnitWiring>,
+}
+
+/// One Alicat pressure controller.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UnitWiring {
+    /// FREE that it feeds.
+    pub free: usize,
+    /// Unit id, `b'A'..=b'Z'`.
+    pub id: u8,
+    /// Full scale, Pa.
+    pub full_scale: f64,
+    /// Pascals in the unit that the device's front panel and frames use (psi from the factory).
+    pub pascals_per_unit: f64,
+}

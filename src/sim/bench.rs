@@ -1,0 +1,59 @@
+//! What the simulated rig is made of.
+
+use std::time::Duration;
+
+use crate::model::Free;
+
+/// The whole simulated rig.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BenchConfig {
+    /// Seed of noise, scatter and phases.
+    pub seed: u64,
+    /// By FREE, in the order of rig.toml.
+    pub plants: Vec<PlantSim>,
+    /// The IMUs.
+    pub imu: ImuSim,
+    /// Whether a dump valve is fitted.
+    pub dump_valve: bool,
+}
+
+/// One simulated FREE behind its regulator.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlantSim {
+    /// The nominal FREE; the true one is off by the seeded `scatter`.
+    pub nominal: Free,
+    /// Relative standard deviation of every true parameter against the nominal one, drawn from the seed.
+    pub scatter: f64,
+    /// Width of the torsional hysteresis loop (Maxwell slip) over a 0-7 psi cycle, as a fraction of the range.
+    pub hysteresis: f64,
+    /// Constant external moment on the end, N m.
+    pub load_moment: f64,
+    /// Its regulator.
+    pub regulator: RegulatorSim,
+}
+
+/// One simulated pressure regulator.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RegulatorSim {
+    /// First-order lag.
+    pub lag: Duration,
+    /// Dead time.
+    pub dead_time: Duration,
+    /// Fastest change of pressure, Pa/s.
+    pub slew: f64,
+    /// Standard deviation of the pressure reading, Pa.
+    pub noise: f64,
+    /// Full scale, Pa.
+    pub full_scale: f64,
+}
+
+/// What the simulated IMUs do to the motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImuSim {
+    /// From the motion to the register.
+    pub delay: Duration,
+    /// Standard deviation of the orientation's noise, rad.
+    pub noise: f64,
+    /// Standard deviation of the gyro's noise, rad/s.
+    pub rate_noise: f64,
+}
