@@ -1,4 +1,5 @@
 //! Parses, dispatches, prints the final error with its remedy.
+#![forbid(unsafe_code)]
 
 fn main() -> std::process::ExitCode {
     freerig::cli::main()

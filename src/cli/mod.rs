@@ -1,4 +1,175 @@
-//! The floor `cli`.
-pub fn main() -> std::process::ExitCode {
-    std::process::ExitCode::SUCCESS
+//! The command line: one file per command, each with its `Args` and its `run`; no physics, no device code.
+//!
+//! # How a command is added
+//!
+//! One `mod` line and one variant of `Command` below. The command's file holds
+//!
+//! ```ignore
+//! /// What `freerig clear` takes.
+//! #[derive(Debug, clap::Args)]
+//! #[command(after_long_help = "Examples:\n  freerig clear")]
+//! pub struct Args {}
+//!
+//! pub fn run(args: Args, context: &Context) -> Result<(), Failure> { ... }
+//! ```
+//!
+//! # Rules that hold for all of them
+//!
+//! - Answers go to stdout ([`Context::print`], [`Context::print_json`]), what the program is doing goes to stderr
+//!   ([`Context::note`], [`Progress`]).
+//! - With `--json`, stdout is exactly one JSON object: SI units, units in the key names, `null` for no value.
+//! - Quantities are typed (`Pressure`, `Angle`, ... of [`crate::units`]): they are parsed with their unit, and may
+//!   begin with a minus sign, without any further attribute. A `String` that may begin with one needs
+//!   `allow_hyphen_values = true`.
+//! - Exit status: 0 done, 1 failed, 2 bad usage or configuration, 3 a fault of the rig ([`Exit`]).
+
+mod config;
+mod failure;
+mod progress;
+
+use std::fmt::Display;
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+
+pub use failure::{Exit, Failure};
+pub use progress::Progress;
+
+const LONG_ABOUT: &str = "\
+Controller of a soft-robotics bench: drives FREEs (fiber-reinforced elastomeric enclosures) along trajectories from a \
+real-time thread, identifies and models them, and records every experiment.
+
+The rig is described by rig.toml; with `backend = \"sim\"`, the default, everything runs on simulated devices behind \
+the real drivers, and says SIMULATED.
+
+Quantities carry their unit: `7psi`, `-40deg`, `130mm`, `10ms`.";
+
+const EXAMPLES: &str = "\
+Examples:
+  freerig demo                              the whole job on the simulated rig, no daemon needed
+  freerig config check                      every problem of rig.toml and the calibration files at once
+  freerig run                               the daemon, in the foreground
+
+Exit status: 0 done, 1 failed, 2 bad usage or configuration, 3 a fault of the rig.";
+
+#[derive(Debug, Parser)]
+#[command(name = "freerig", version, about, long_about = LONG_ABOUT, after_help = EXAMPLES)]
+#[command(propagate_version = true, subcommand_required = true, arg_required_else_help = true)]
+struct Cli {
+    #[command(flatten)]
+    context: Context,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// Every command, in the order of the help.
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Check rig.toml and everything it refers to
+    Config(config::Args),
+}
+
+impl Command {
+    fn run(self, context: &Context) -> Result<(), Failure> {
+        match self {
+            Command::Config(args) => config::run(args, context),
+        }
+    }
+}
+
+/// What every command is given.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Context {
+    /// The rig's description
+    #[arg(long, global = true, value_name = "FILE", default_value = "rig.toml")]
+    pub rig: PathBuf,
+    /// Print one JSON object (SI units, units in the key names) instead of text
+    #[arg(long, global = true)]
+    pub json: bool,
+}
+
+impl Context {
+    /// Prints the answer on stdout. A reader that has gone (`| head`) is no error.
+    pub fn print(&self, text: impl Display) -> Result<(), Failure> {
+        match writeln!(io::stdout().lock(), "{text}") {
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+            other => Ok(other?),
+        }
+    }
+
+    /// Prints `value` on stdout as one JSON object. Numbers that are not finite become `null`.
+    pub fn print_json(&self, value: &impl serde::Serialize) -> Result<(), Failure> {
+        self.print(serde_json::to_string_pretty(value)?)
+    }
+
+    /// Says on stderr what the program is doing.
+    pub fn note(&self, text: impl Display) {
+        // Nothing sensible is left to do when even stderr is gone.
+        let _ = writeln!(io::stderr().lock(), "{text}");
+    }
+}
+
+/// The program: parse, dispatch, print the final error with its remedy.
+pub fn main() -> ExitCode {
+    let outcome = command()
+        .try_get_matches()
+        .and_then(|matches| Cli::from_arg_matches(&matches))
+        .map_err(|error| error.format(&mut command()));
+    let cli = match outcome {
+        Ok(cli) => cli,
+        // Help and version go to stdout with status 0, bad usage to stderr with status 2.
+        Err(error) => error.exit(),
+    };
+    match cli.command.run(&cli.context) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            cli.context.note(&failure);
+            failure.exit.into()
+        }
+    }
+}
+
+/// The clap command, with the rule that a quantity may begin with a minus sign applied throughout.
+pub fn command() -> clap::Command {
+    signed_quantities(Cli::command())
+}
+
+fn signed_quantities(command: clap::Command) -> clap::Command {
+    command
+        .mut_args(|arg| if takes_a_quantity(&arg) { arg.allow_hyphen_values(true) } else { arg })
+        .mut_subcommands(signed_quantities)
+}
+
+fn takes_a_quantity(arg: &clap::Arg) -> bool {
+    use std::any::TypeId;
+
+    use crate::units::{Angle, Force, Frequency, Length, Mass, Moment, Pressure, PressureRate, Seconds};
+
+    let kind = arg.get_value_parser().type_id();
+    [
+        TypeId::of::<f64>(),
+        TypeId::of::<Angle>(),
+        TypeId::of::<Force>(),
+        TypeId::of::<Frequency>(),
+        TypeId::of::<Length>(),
+        TypeId::of::<Mass>(),
+        TypeId::of::<Moment>(),
+        TypeId::of::<Pressure>(),
+        TypeId::of::<PressureRate>(),
+        TypeId::of::<Seconds>(),
+    ]
+    .iter()
+    .any(|quantity| kind == *quantity)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_well_formed() {
+        command().debug_assert();
+    }
 }
