@@ -1,3 +1,18 @@
 //! Devices: traits, drivers and the owners of their buses.
+//!
+//! One thread owns one bus. It reads the tick's latest [`Command`](crate::signal::Command) from a latest-value
+//! slot, talks to its devices, commands and vents first, and publishes readings into latest-value slots. A
+//! command that grows too old counts as zero: an owner never needs the tick to be safe. Drivers know one chip,
+//! take their time from a [`Clock`](crate::clock::Clock) and their bus as a trait, so that simulated chips at
+//! register and byte level drive the very same code.
 
+mod error;
+mod imu;
+mod regulator;
+mod statistics;
 pub mod wiring;
+
+pub use error::HardwareError;
+pub use imu::{Identity, Implausible, Imu, Reading};
+pub use regulator::PressureRegulator;
+pub use statistics::{Counter, DeviceStatistics};

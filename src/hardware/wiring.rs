@@ -36,8 +36,17 @@ pub struct ImuWiring {
     pub address: u8,
     /// Reading period; the fusion output comes at 100 Hz.
     pub period: Duration,
-    /// Saved calibration profile (registers 0x55..=0x6A), restored when connecting.
-    pub profile: Option<[u8; 22]>,
+    /// Saved calibration profile, restored when connecting.
+    pub profile: Option<ImuProfile>,
+}
+
+/// Calibration profile of one BNO055, as read from it: it fits no other one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImuProfile {
+    /// The sensor's own unique number (page 1, registers 0x50..=0x5F).
+    pub unique_id: [u8; 16],
+    /// Offsets and radii (page 0, registers 0x55..=0x6A).
+    pub registers: [u8; 22],
 }
 
 /// One MCP4728 (four channels).

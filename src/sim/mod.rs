@@ -2,5 +2,6 @@
 //! that answer the real drivers.
 
 mod bench;
+pub mod chips;
 
 pub use bench::{BenchConfig, ImuSim, PlantSim, RegulatorSim};
