@@ -167,11 +167,13 @@ pub enum FaultCode {
     RealtimeLost = 16,
     /// The pressure did not fall after a vent.
     VentFailed = 17,
+    /// The emergency stop.
+    EmergencyStop = 18,
 }
 
 impl FaultCode {
     /// Every fault, in the order of the numbers.
-    pub const ALL: [FaultCode; 17] = [
+    pub const ALL: [FaultCode; 18] = [
         FaultCode::OverpressureHard,
         FaultCode::OverpressureSoft,
         FaultCode::PressureSensorRange,
@@ -189,6 +191,7 @@ impl FaultCode {
         FaultCode::ConfigChanged,
         FaultCode::RealtimeLost,
         FaultCode::VentFailed,
+        FaultCode::EmergencyStop,
     ];
 
     /// Stable name, as in the fault table and in JSON.
@@ -211,6 +214,7 @@ impl FaultCode {
             FaultCode::ConfigChanged => "config_changed",
             FaultCode::RealtimeLost => "realtime_lost",
             FaultCode::VentFailed => "vent_failed",
+            FaultCode::EmergencyStop => "emergency_stop",
         }
     }
 }
@@ -357,6 +361,8 @@ pub struct Reference {
 /// What the estimator believes, and its whole state: enough to resume it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Estimate {
+    /// Orientation at which the angle is zero, unit quaternion (w, x, y, z), sensor to world.
+    pub tare: [f64; 4],
     /// Angle now, rad, tared, unwrapped (FREEs turn beyond a full turn).
     pub angle: f64,
     /// Rate now, rad/s.
@@ -369,7 +375,7 @@ pub struct Estimate {
     pub tilt: f64,
     /// Age of the information in `measured_angle`, s.
     pub age: f64,
-    /// Sequence number of the latest accepted reading.
+    /// Sequence number of the latest reading, accepted or not.
     pub sequence: u32,
     /// Whether there is anything to go by.
     pub valid: bool,
@@ -434,6 +440,65 @@ pub enum RequestKind {
     Gains = 6,
 }
 
+/// Why the tick did not do what was asked (texts and remedies in `control::refusal`); the numbers are stable.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum RefusalCode {
+    /// Nothing was refused.
+    #[default]
+    None = 0,
+    /// The life cycle does not allow it in this state.
+    WrongState = 1,
+    /// The emergency stop is pressed.
+    EmergencyStop = 2,
+    /// The condition of a fault holds.
+    FaultPresent = 3,
+    /// A configuration file differs from what was loaded.
+    ConfigChanged = 4,
+    /// No real-time rights, where they are required.
+    NotRealtime = 5,
+    /// The pressure is not below p_zero.
+    NotVented = 6,
+    /// No fresh pressure reading.
+    NoPressure = 7,
+    /// No fresh IMU reading.
+    NoImu = 8,
+    /// The IMU's gyro is not calibrated.
+    NotCalibrated = 9,
+    /// The FREE moves, where it must stand still for the tare.
+    NotStill = 10,
+    /// The program asks for what this rig cannot do (an angle without an IMU, a FREE that is not there, no duration).
+    BadProgram = 11,
+    /// Gains that are negative or not finite, or of a FREE that is not there.
+    BadGains = 12,
+    /// The program before has not been taken back yet.
+    Busy = 13,
+}
+
+/// What was refused, and on whose account.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Refusal {
+    /// Why.
+    pub code: RefusalCode,
+    /// Index of the FREE that it is about; [`Refusal::RIG`] where it is about no single one.
+    pub free: u8,
+    /// The fault behind [`RefusalCode::FaultPresent`].
+    pub fault: Option<FaultCode>,
+}
+
+impl Refusal {
+    /// `free` of a refusal that is about the whole rig.
+    pub const RIG: u8 = u8::MAX;
+    /// Nothing was refused.
+    pub const NONE: Refusal = Refusal { code: RefusalCode::None, free: Self::RIG, fault: None };
+}
+
+impl Default for Refusal {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
 /// Everything one tick saw, decided and commanded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TickRecord {
@@ -455,6 +520,12 @@ pub struct TickRecord {
     pub estop: bool,
     /// Whether the thread has its real-time rights (input).
     pub realtime: bool,
+    /// Whether a configuration file differs from what was loaded (input).
+    pub config_changed: bool,
+    /// Latest heartbeat of the client that runs the program (input).
+    pub heartbeat: Time,
+    /// What this tick refused: the request it took up, or the arming it had to give up.
+    pub refusal: Refusal,
     /// Time since the program's start, s; not a number outside a program.
     pub program_time: f64,
     /// Faults latched.
@@ -488,6 +559,9 @@ impl Default for TickRecord {
             request: RequestKind::None,
             estop: false,
             realtime: false,
+            config_changed: false,
+            heartbeat: Time::ZERO,
+            refusal: Refusal::NONE,
             program_time: f64::NAN,
             latched: FaultSet::NONE,
             faults: FaultSet::NONE,

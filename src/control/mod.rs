@@ -22,6 +22,16 @@ pub struct Gains {
     pub derivative_filter: f64,
 }
 
+/// What the derivative term looks at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum DerivativeOn {
+    /// -Kd d(angle)/dt (Eq. 5): a step of the reference does not kick.
+    #[default]
+    Measurement,
+    /// Kd d(reference - angle)/dt: follows a moving reference more closely.
+    Error,
+}
+
 /// Limits of one FREE.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
@@ -80,6 +90,10 @@ pub struct FreeControl {
     pub free: Free,
     /// Gains at start.
     pub gains: Gains,
+    /// What the derivative term looks at.
+    pub derivative_on: DerivativeOn,
+    /// Share of the inverse linear model (with the regulator's lag) fed forward: 0 none, 1 all of it.
+    pub feedforward: f64,
     /// Its limits.
     pub limits: Limits,
     /// Its IMU, where it has one.
@@ -99,6 +113,8 @@ pub struct ControlConfig {
     pub ramp_time: Duration,
     /// Refuse to arm without real-time rights.
     pub require_realtime: bool,
+    /// Whether a dump valve vents the rig where a regulator cannot be reached any more.
+    pub dump_valve: bool,
     /// The FREEs, at most [`MAX_FREES`].
     pub frees: Vec<FreeControl>,
 }
