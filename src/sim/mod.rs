@@ -3,5 +3,15 @@
 
 mod bench;
 pub mod chips;
+mod hysteresis;
+mod plant;
+mod regulator;
+mod tip;
+mod valve;
 
 pub use bench::{BenchConfig, ImuSim, PlantSim, RegulatorSim};
+pub use hysteresis::MaxwellSlip;
+pub use plant::{Motion, Plant, PlantFault, STEP};
+pub use regulator::{Regulator, Valve};
+pub use tip::{HardStop, Tip};
+pub use valve::DumpValve;

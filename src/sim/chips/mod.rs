@@ -25,6 +25,10 @@ pub enum Misbehaviour {
     Silent,
     /// Answers, but always with the readings of the moment it got stuck.
     Stuck,
+    /// Answers with another unit's id (serial; elsewhere as [`Misbehaviour::Garbage`]).
+    WrongId,
+    /// The answer breaks off in the middle (serial; elsewhere as [`Misbehaviour::Garbage`]).
+    Truncated,
 }
 
 #[derive(Debug, Default)]

@@ -1,0 +1,332 @@
+//! The simulated rig's physics: regulators, dump valve, FREEs, and a memory of the motion for delayed sensors.
+//!
+//! Time is cut into fixed substeps of [`STEP`]. Whatever acts from outside is an event with its own time, and
+//! takes effect at the first grid point at or after it; a state depends only on events before it. So the plant
+//! gives the same bits however often, and in whatever portions, it is advanced.
+//!
+//! The plant is not the controller's model: its parameters are off by a seeded scatter, its tip drags
+//! Maxwell-slip friction, and the regulator has its own lag, dead time and slew limit.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
+use super::regulator::{Regulator, Valve};
+use super::tip::{HardStop, Tip, loop_friction};
+use super::valve::DumpValve;
+use super::{BenchConfig, PlantSim};
+use crate::clock::Time;
+use crate::model::Free;
+use crate::signal::Truth;
+
+/// The substep.
+pub const STEP: Duration = Duration::from_micros(250);
+/// How many states are remembered: 2.048 s.
+const MEMORY: usize = 8192;
+/// Pressure of the supply, as a multiple of the largest full scale.
+const SUPPLY_MARGIN: f64 = 1.5;
+/// Scatter is cut off at this many standard deviations, so that no parameter can change its sign.
+const SCATTER_CUT: f64 = 2.5;
+
+/// Something that goes wrong with the rig's mechanics or pneumatics.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PlantFault {
+    /// The FREE or its tube leaks with this time constant, s; 0.01 is a burst, infinity repairs it.
+    Leak(usize, f64),
+    /// The valve of the FREE's regulator works, sticks, or sticks open.
+    Valve(usize, Valve),
+    /// The external moment on the FREE's end becomes this, N m.
+    Load(usize, f64),
+    /// The supply pressure becomes this, Pa.
+    Supply(f64),
+    /// The dump valve stays closed (true), or is repaired.
+    DumpStuck(bool),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Event {
+    Setpoint(usize, f64),
+    Dump(bool),
+    Fault(PlantFault),
+}
+
+/// Motion of a FREE's end, as a sensor fixed to it sees it. The sensor's z is the FREE's axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// Sensor to world, unit quaternion (w, x, y, z).
+    pub quaternion: [f64; 4],
+    /// Angular rate in the sensor's frame, rad/s.
+    pub rate: [f64; 3],
+    /// Acceleration in the sensor's frame without gravity, m/s2.
+    pub acceleration: [f64; 3],
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Snapshot {
+    angle: f64,
+    rate: f64,
+    extension: f64,
+    acceleration: f64,
+    pressure: f64,
+}
+
+impl Snapshot {
+    fn between(a: &Snapshot, b: &Snapshot, x: f64) -> Snapshot {
+        let mix = |a: f64, b: f64| a + (b - a) * x;
+        Snapshot {
+            angle: mix(a.angle, b.angle),
+            rate: mix(a.rate, b.rate),
+            extension: mix(a.extension, b.extension),
+            acceleration: mix(a.acceleration, b.acceleration),
+            pressure: mix(a.pressure, b.pressure),
+        }
+    }
+}
+
+/// One FREE behind its regulator.
+#[derive(Clone, Debug)]
+struct Branch {
+    tip: Tip,
+    regulator: Regulator,
+    pressure: f64,
+    memory: Vec<Snapshot>,
+}
+
+/// The whole simulated rig.
+#[derive(Clone, Debug)]
+pub struct Plant {
+    seed: u64,
+    branches: Vec<Branch>,
+    dump: DumpValve,
+    supply: f64,
+    /// Grid points passed.
+    step: u64,
+    /// By grid point of effect, then in the order of their arrival.
+    events: BTreeMap<(u64, u64), Event>,
+    arrivals: u64,
+}
+
+impl Plant {
+    /// The rig at rest and vented at time zero.
+    pub fn new(config: &BenchConfig) -> Self {
+        let mut rng = Pcg64::seed_from_u64(config.seed);
+        let branches: Vec<_> = config.plants.iter().map(|p| Branch::new(p, &mut rng)).collect();
+        let largest = config.plants.iter().map(|p| p.regulator.full_scale).fold(0.0, f64::max);
+        Self {
+            seed: config.seed,
+            branches,
+            dump: DumpValve::new(config.dump_valve),
+            supply: SUPPLY_MARGIN * largest,
+            step: 0,
+            events: BTreeMap::new(),
+            arrivals: 0,
+        }
+    }
+
+    /// How many FREEs there are.
+    pub fn free_count(&self) -> usize {
+        self.branches.len()
+    }
+
+    /// The true parameters of a FREE; none where there is no such FREE.
+    pub fn true_free(&self, free: usize) -> Option<&Free> {
+        self.branches.get(free).map(|b| b.tip.free())
+    }
+
+    /// Gives the regulator of `free` a set-point (Pa) at `at`; it acts after the regulator's dead time.
+    pub fn set_setpoint(&mut self, free: usize, pascals: f64, at: Time) {
+        if let Some(branch) = self.branches.get(free) {
+            let effect = at + branch.regulator.spec().dead_time;
+            self.schedule(effect, Event::Setpoint(free, pascals));
+        }
+    }
+
+    /// Switches the dump valve at `at`.
+    pub fn set_dump(&mut self, open: bool, at: Time) {
+        self.schedule(at, Event::Dump(open));
+    }
+
+    /// Lets something go wrong (or be repaired) at `at`.
+    pub fn inject(&mut self, fault: PlantFault, at: Time) {
+        self.schedule(at, Event::Fault(fault));
+    }
+
+    /// Brings the state to `time` (the next grid point where it falls between two); never goes back.
+    pub fn advance_to(&mut self, time: Time) {
+        let target = grid(time);
+        while self.step < target {
+            self.advance();
+        }
+    }
+
+    /// Pressure inside a FREE at `time`, Pa, without the sensor's noise.
+    pub fn pressure(&mut self, free: usize, time: Time) -> f64 {
+        self.at(free, time).pressure
+    }
+
+    /// What the regulator's own sensor measures at `time`, Pa: the pressure with noise, clipped at 110 % of the
+    /// full scale.
+    pub fn reading(&mut self, free: usize, time: Time) -> f64 {
+        let pressure = self.at(free, time).pressure;
+        let Some(branch) = self.branches.get(free) else { return pressure };
+        let spec = branch.regulator.spec();
+        let noise = spec.noise * normal(self.seed, free as u64, grid(time));
+        (pressure + noise).min(1.1 * spec.full_scale)
+    }
+
+    /// Motion of a FREE's end at `time`, by interpolation between the remembered states (2 s of them).
+    pub fn orientation(&mut self, free: usize, time: Time) -> Motion {
+        let s = self.at(free, time);
+        let (sin, cos) = (0.5 * s.angle).sin_cos();
+        Motion { quaternion: [cos, 0.0, 0.0, sin], rate: [0.0, 0.0, s.rate], acceleration: [0.0, 0.0, s.acceleration] }
+    }
+
+    /// What a FREE really does at `time`.
+    pub fn truth(&mut self, free: usize, time: Time) -> Truth {
+        let s = self.at(free, time);
+        Truth { angle: s.angle, extension: s.extension, pressure: s.pressure }
+    }
+
+    /// Which hard stop a FREE's end rests on, where it does.
+    pub fn hard_stop(&self, free: usize) -> Option<HardStop> {
+        self.branches.get(free).and_then(|b| b.tip.hard_stop())
+    }
+
+    fn schedule(&mut self, at: Time, event: Event) {
+        self.events.insert((grid(at), self.arrivals), event);
+        self.arrivals += 1;
+    }
+
+    /// The state at `time`; everything zero where there is no such FREE.
+    fn at(&mut self, free: usize, time: Time) -> Snapshot {
+        self.advance_to(time);
+        let Some(branch) = self.branches.get(free) else { return Snapshot::default() };
+        let oldest = self.step.saturating_sub(MEMORY as u64 - 1);
+        let (before, rest) = (time.as_nanos() / step_nanos(), time.as_nanos() % step_nanos());
+        let before = before.clamp(oldest, self.step);
+        let after = (before + 1).min(self.step);
+        let x = rest as f64 / step_nanos() as f64;
+        Snapshot::between(&branch.memory[slot(before)], &branch.memory[slot(after)], x)
+    }
+
+    /// One substep.
+    fn advance(&mut self) {
+        while let Some(entry) = self.events.first_entry()
+            && entry.key().0 <= self.step
+        {
+            let event = entry.remove();
+            self.apply(event);
+        }
+        let dt = STEP.as_secs_f64();
+        let exhaust = self.dump.exhaust(self.step as f64 * dt);
+        self.step += 1;
+        for branch in &mut self.branches {
+            branch.advance(dt, self.supply, exhaust, slot(self.step));
+        }
+    }
+
+    fn apply(&mut self, event: Event) {
+        let now = self.step as f64 * STEP.as_secs_f64();
+        match event {
+            Event::Setpoint(free, pascals) => self.branch(free, |b| b.regulator.set(pascals)),
+            Event::Dump(open) => self.dump.switch(open, now),
+            Event::Fault(PlantFault::Leak(free, time)) => self.branch(free, |b| b.regulator.leak = time.max(1e-6)),
+            Event::Fault(PlantFault::Valve(free, valve)) => self.branch(free, |b| b.regulator.valve = valve),
+            Event::Fault(PlantFault::Load(free, moment)) => self.branch(free, |b| b.tip.load = moment),
+            Event::Fault(PlantFault::Supply(pascals)) => self.supply = pascals,
+            Event::Fault(PlantFault::DumpStuck(stuck)) => self.dump.stick(stuck),
+        }
+    }
+
+    fn branch(&mut self, free: usize, f: impl FnOnce(&mut Branch)) {
+        if let Some(branch) = self.branches.get_mut(free) {
+            f(branch);
+        }
+    }
+}
+
+impl Branch {
+    fn new(sim: &PlantSim, rng: &mut Pcg64) -> Self {
+        let free = scattered(&sim.nominal, sim.scatter, rng);
+        let friction = loop_friction(&free, sim.load_moment, sim.hysteresis);
+        let mut tip = Tip::new(free, friction, sim.load_moment);
+        tip.settle();
+        let mut branch = Self {
+            tip,
+            regulator: Regulator::new(sim.regulator),
+            pressure: 0.0,
+            memory: vec![Snapshot::default(); MEMORY],
+        };
+        branch.remember(0, 0.0);
+        branch
+    }
+
+    fn advance(&mut self, dt: f64, supply: f64, exhaust: Option<f64>, slot: usize) {
+        let before = self.pressure;
+        self.pressure = self.regulator.step(before, dt, supply, exhaust);
+        let velocity = self.tip.velocity();
+        self.tip.step(0.5 * (before + self.pressure), dt);
+        self.remember(slot, (self.tip.velocity() - velocity) / dt);
+    }
+
+    fn remember(&mut self, slot: usize, acceleration: f64) {
+        self.memory[slot] = Snapshot {
+            angle: self.tip.angle(),
+            rate: self.tip.rate(),
+            extension: self.tip.extension(),
+            acceleration,
+            pressure: self.pressure,
+        };
+    }
+}
+
+fn step_nanos() -> u64 {
+    STEP.as_nanos() as u64
+}
+
+/// First grid point at or after `time`.
+fn grid(time: Time) -> u64 {
+    time.as_nanos().div_ceil(step_nanos())
+}
+
+fn slot(step: u64) -> usize {
+    (step % MEMORY as u64) as usize
+}
+
+/// The nominal FREE with every parameter off by `scatter` (relative standard deviation).
+fn scattered(nominal: &Free, scatter: f64, rng: &mut Pcg64) -> Free {
+    let mut off = |value: f64| {
+        let x: f64 = StandardNormal.sample(rng);
+        value * (1.0 + scatter * x.clamp(-SCATTER_CUT, SCATTER_CUT))
+    };
+    Free {
+        gamma: off(nominal.gamma),
+        length: off(nominal.length),
+        radius: off(nominal.radius),
+        mass: off(nominal.mass),
+        inertia: off(nominal.inertia),
+        axial_stiffness: off(nominal.axial_stiffness),
+        torsional_stiffness: off(nominal.torsional_stiffness),
+        axial_damping: off(nominal.axial_damping),
+        torsional_damping: off(nominal.torsional_damping),
+    }
+}
+
+/// A standard normal number that depends only on its arguments, not on how often it is asked for: SplitMix64
+/// over the arguments, then Box-Muller.
+fn normal(seed: u64, stream: u64, index: u64) -> f64 {
+    let mix = |x: u64| {
+        let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        x ^ (x >> 31)
+    };
+    let key = mix(seed.wrapping_add(mix(stream.wrapping_add(0x9e37_79b9_7f4a_7c15))));
+    let uniform = |n: u64| {
+        let bits = mix(key.wrapping_add((2 * index + n).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
+        ((bits >> 11) as f64 + 0.5) / (1u64 << 53) as f64
+    };
+    (-2.0 * uniform(0).ln()).sqrt() * (std::f64::consts::TAU * uniform(1)).cos()
+}
