@@ -3,6 +3,8 @@
 //!
 //! SI units throughout: Pa (gauge), rad, rad/s, s. Signs as in [`crate::model`].
 
+use serde::{Deserialize, Serialize};
+
 use crate::clock::Time;
 
 /// Most FREEs one rig can hold: a module of four and two singles.
@@ -333,7 +335,8 @@ impl State {
 }
 
 /// What a reference is about.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 #[repr(u8)]
 pub enum Quantity {
     /// Nothing is asked of this FREE.
