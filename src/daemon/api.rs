@@ -1,0 +1,484 @@
+//! What goes over the control socket: one JSON object each, SI units, units in the key names, `null` where there
+//! is no value. The same types serve the server, the client and `--json`.
+//!
+//! | route | body | answer |
+//! | --- | --- | --- |
+//! | `GET /v1/status` | | [`Status`] |
+//! | `GET /v1/status/stream` | | [`Status`], a line each time it changes |
+//! | `GET /v1/events` | | [`Event`], a line each |
+//! | `POST /v1/arm` | [`Arm`] | [`Response`] |
+//! | `POST /v1/disarm`, `/v1/clear`, `/v1/stop`, `/v1/estop` | | [`Response`] |
+//! | `POST /v1/set` | [`Set`] | [`Response`] |
+//! | `POST /v1/start` | [`Start`] | [`Response`] with the run |
+//! | `POST /v1/heartbeat` | [`Heartbeat`] | [`Response`] |
+//!
+//! The answer of a request that was not done is a [`Problem`], with a status of 400 or above.
+
+use serde::{Deserialize, Serialize};
+
+use crate::hardware::DeviceStatistics;
+use crate::rt;
+use crate::signal::FaultCode;
+
+/// Where the rig stands.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Status {
+    /// Version of the daemon.
+    pub version: String,
+    /// Whether the devices are simulated.
+    pub simulated: bool,
+    /// State of the life cycle, by its stable name ([`crate::signal::State::name`]).
+    pub state: String,
+    /// Time since the daemon's start, s.
+    pub uptime_s: f64,
+    /// Faults, latched or active.
+    pub faults: Vec<Fault>,
+    /// The FREEs, in the order of rig.toml.
+    pub frees: Vec<FreeStatus>,
+    /// The real-time loop.
+    #[serde(rename = "loop")]
+    pub tick: LoopStatus,
+    /// The run in progress.
+    pub run: Option<Run>,
+}
+
+impl Status {
+    /// Whether a fault is latched: the rig needs `freerig clear`.
+    pub fn is_faulted(&self) -> bool {
+        self.faults.iter().any(|f| f.latched)
+    }
+}
+
+/// A fault that is latched, or whose condition holds.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Fault {
+    /// Stable number.
+    pub code: u8,
+    /// Stable name.
+    pub name: String,
+    /// Name of the FREE it is about; `null` where it is about the rig.
+    pub free: Option<String>,
+    /// Whether it is latched: it stays until it is cleared.
+    pub latched: bool,
+    /// Whether its condition holds now.
+    pub active: bool,
+    /// What to do about it.
+    pub remedy: String,
+}
+
+impl Fault {
+    /// The fault `code` of the FREE or of the rig.
+    pub fn new(code: FaultCode, free: Option<&str>, latched: bool, active: bool, remedy: &str) -> Self {
+        Self {
+            code: code as u8,
+            name: code.name().into(),
+            free: free.map(Into::into),
+            latched,
+            active,
+            remedy: remedy.into(),
+        }
+    }
+}
+
+/// One FREE.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FreeStatus {
+    /// Name in rig.toml.
+    pub name: String,
+    /// Estimated end rotation, rad; `null` without a reading.
+    pub angle_rad: Option<f64>,
+    /// Estimated rate, rad/s.
+    pub rate_rad_s: Option<f64>,
+    /// Measured pressure, Pa; `null` where it is not measured.
+    pub pressure_pa: Option<f64>,
+    /// Commanded pressure, Pa.
+    pub command_pa: f64,
+    /// Reference of the angle, rad; `null` where the angle is not controlled.
+    pub reference_rad: Option<f64>,
+    /// Reference of the pressure, Pa; `null` where the pressure is not asked for.
+    pub reference_pa: Option<f64>,
+    /// Limits in force, by their stable names; they explain, they do not latch.
+    pub limits: Vec<String>,
+    /// Its IMU; `null` where it has none.
+    pub imu: Option<DeviceStatus>,
+    /// Its regulator.
+    pub regulator: DeviceStatus,
+}
+
+/// One device.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct DeviceStatus {
+    /// Model, bus and address.
+    pub device: String,
+    /// What its latest reading is worth: `absent`, `good`, `implausible`, `restarting`, `unmeasured`, `lost`.
+    pub health: String,
+    /// Age of its latest reading, s.
+    pub age_s: Option<f64>,
+    /// Readings that were good.
+    pub reads: u64,
+    /// Readings that brought nothing new.
+    pub repeats: u64,
+    /// Exchanges that failed after their retries.
+    pub errors: u64,
+    /// Exchanges that were tried again.
+    pub retries: u64,
+    /// Readings that could not be.
+    pub implausible: u64,
+    /// Resets that nobody asked for.
+    pub resets: u64,
+    /// Times its bus was opened again.
+    pub reopens: u64,
+    /// Times it was set up.
+    pub connects: u64,
+    /// Times it was given up as lost.
+    pub losses: u64,
+    /// The latest failure.
+    pub last_error: Option<String>,
+}
+
+impl DeviceStatus {
+    /// What `statistics` have counted, with the `health` and the age of the latest reading.
+    pub fn new(statistics: &DeviceStatistics, health: &str, age_s: Option<f64>) -> Self {
+        Self {
+            device: statistics.device.to_string(),
+            health: health.into(),
+            age_s,
+            reads: statistics.reads.get(),
+            repeats: statistics.repeats.get(),
+            errors: statistics.errors.get(),
+            retries: statistics.retries.get(),
+            implausible: statistics.implausible.get(),
+            resets: statistics.resets.get(),
+            reopens: statistics.reopens.get(),
+            connects: statistics.connects.get(),
+            losses: statistics.losses.get(),
+            last_error: statistics.last_error().map(|e| e.to_string()),
+        }
+    }
+}
+
+/// The real-time loop.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LoopStatus {
+    /// Configured period, s.
+    pub period_s: f64,
+    /// Ticks done per second of the loop's time: below `1 / period_s` where periods were skipped.
+    pub rate_hz: f64,
+    /// Ticks done.
+    pub ticks: u64,
+    /// Periods skipped.
+    pub skipped: u64,
+    /// From the deadline to the wake-up.
+    pub latency: Durations,
+    /// Execution time of a tick.
+    pub execution: Durations,
+    /// Whether the thread has its real-time rights: SCHED_FIFO and locked memory.
+    pub realtime: bool,
+    /// The rights that were refused, each with its remedy.
+    pub refused: Vec<String>,
+}
+
+impl LoopStatus {
+    /// What `statistics` have counted of the thread with `rights`.
+    pub fn new(period: std::time::Duration, statistics: &rt::Statistics, rights: &rt::Rights) -> Self {
+        let (ticks, skipped) = (statistics.ticks(), statistics.skipped());
+        let share = if ticks == 0 { 0.0 } else { ticks as f64 / (ticks + skipped) as f64 };
+        Self {
+            period_s: period.as_secs_f64(),
+            rate_hz: share / period.as_secs_f64(),
+            ticks,
+            skipped,
+            latency: Durations::new(&statistics.latency.snapshot()),
+            execution: Durations::new(&statistics.execution.snapshot()),
+            realtime: rights.realtime(),
+            refused: rights.refusals().map(ToString::to_string).collect(),
+        }
+    }
+}
+
+/// A distribution of durations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Durations {
+    /// Median, s.
+    pub p50_s: Option<f64>,
+    /// 99th percentile, s.
+    pub p99_s: Option<f64>,
+    /// Largest, s.
+    pub max_s: Option<f64>,
+}
+
+impl Durations {
+    /// The percentiles of `counted`; all `null` where nothing was counted.
+    pub fn new(counted: &rt::Snapshot) -> Self {
+        let seconds = |percent| counted.percentile(percent).map(|ns| ns as f64 * 1e-9);
+        Self {
+            p50_s: seconds(50.0),
+            p99_s: seconds(99.0),
+            max_s: (counted.count() > 0).then(|| counted.max() as f64 * 1e-9),
+        }
+    }
+}
+
+/// A run in progress.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Run {
+    /// Name of its folder under runs/.
+    pub id: String,
+    /// Its folder.
+    pub folder: String,
+    /// What it does: `step`, `trajectory`, `sweep`, ...
+    pub kind: String,
+    /// The experiment's name.
+    pub name: String,
+    /// Whether it stops when its client is gone.
+    pub attended: bool,
+    /// Which repetition is running, from 1.
+    pub repeat: u32,
+    /// How many repetitions there are.
+    pub repeats: u32,
+    /// Time since its start, s.
+    pub elapsed_s: f64,
+    /// How long it will take, s.
+    pub duration_s: f64,
+    /// How much of it is done, 0..=1.
+    pub progress: f64,
+    /// In a few words, what it is doing.
+    pub phase: String,
+}
+
+/// How a run ended.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RunResult {
+    /// Name of its folder under runs/.
+    pub id: String,
+    /// Its folder.
+    pub folder: String,
+    /// Whether the devices were simulated.
+    pub simulated: bool,
+    /// `completed`, `stopped` or `fault`.
+    pub outcome: String,
+    /// Why, where it did not complete.
+    pub reason: Option<String>,
+    /// Figures by FREE.
+    pub frees: Vec<FreeResult>,
+}
+
+/// Errors of one FREE over a run (reference minus angle, or minus pressure).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FreeResult {
+    /// Name in rig.toml.
+    pub name: String,
+    /// Root mean square of the angle's error, rad; `null` where the angle was not controlled.
+    pub rms_error_rad: Option<f64>,
+    /// Largest, rad.
+    pub peak_error_rad: Option<f64>,
+    /// At the end, rad.
+    pub final_error_rad: Option<f64>,
+}
+
+/// Something that happened.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Event {
+    /// When, RFC 3339.
+    pub time: String,
+    /// What.
+    #[serde(flatten)]
+    pub what: Happening,
+}
+
+impl Event {
+    /// `what` happened now.
+    pub fn now(what: Happening) -> Self {
+        Self { time: jiff::Timestamp::now().to_string(), what }
+    }
+}
+
+/// What an [`Event`] says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum Happening {
+    /// The life cycle moved on.
+    State {
+        /// Stable name of the state before.
+        from: String,
+        /// Stable name of the state after.
+        to: String,
+    },
+    /// A fault was latched, or its condition began or ended.
+    Fault(Fault),
+    /// A run began.
+    RunStarted(Run),
+    /// A run ended.
+    RunFinished(RunResult),
+    /// Something that a person should know.
+    Warning {
+        /// What.
+        text: String,
+        /// What to do about it.
+        remedy: String,
+    },
+    /// This reader was too slow: events are missing here.
+    Missed {
+        /// How many.
+        events: u64,
+    },
+}
+
+/// What a client asks of the supervisor.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Request {
+    /// Arm.
+    Arm(Arm),
+    /// Take the pressures down and disarm.
+    Disarm,
+    /// Clear the latched faults, the emergency stop among them, if their causes are gone.
+    Clear,
+    /// Set one value by hand.
+    Set(Set),
+    /// Start an experiment.
+    Start(Start),
+    /// Stop the experiment; the pressures hold.
+    Stop,
+}
+
+/// Arm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Arm {
+    /// Arm even where the stability margin of the gains is below the stated one.
+    pub accept_margin: bool,
+}
+
+/// Set one value by hand, within the limits. Exactly one of the two values is given.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Set {
+    /// Name of the FREE.
+    pub free: String,
+    /// Pressure, Pa.
+    #[serde(default)]
+    pub pressure_pa: Option<f64>,
+    /// Angle, rad.
+    #[serde(default)]
+    pub angle_rad: Option<f64>,
+}
+
+/// Start an experiment.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Start {
+    /// What it is: `step`, `trajectory`, `sweep`, ...
+    pub kind: String,
+    /// Text of the experiment file (TOML).
+    pub experiment: String,
+    /// Where the text comes from, for messages.
+    #[serde(default)]
+    pub source: Option<String>,
+    /// Name of the FREE, where it is not the file's.
+    #[serde(default)]
+    pub free: Option<String>,
+    /// How many times, at least once; the file's own number where it is `null`.
+    #[serde(default)]
+    pub repeat: Option<u32>,
+    /// A note for the record.
+    #[serde(default)]
+    pub note: Option<String>,
+    /// Go on without the client.
+    #[serde(default)]
+    pub detach: bool,
+}
+
+/// Says that the client that runs an experiment is still there.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Heartbeat {
+    /// [`Run::id`] of the experiment.
+    pub run: String,
+}
+
+/// What came of a request that was done.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Response {
+    /// What was done, in a sentence.
+    pub message: String,
+    /// The run that was started.
+    pub run: Option<Run>,
+}
+
+impl Response {
+    /// Done, and nothing more to say than `message`.
+    pub fn done(message: impl Into<String>) -> Self {
+        Self { message: message.into(), run: None }
+    }
+}
+
+/// Why a request was not done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ProblemKind {
+    /// The request makes no sense (400).
+    Usage,
+    /// The client may not do this (403).
+    Denied,
+    /// There is no such thing (404).
+    NotFound,
+    /// The rig's state does not allow it (409).
+    Refused,
+    /// A fault of the rig stands against it (409).
+    Fault,
+    /// The daemon is busy, or did not answer in time (503).
+    Busy,
+    /// The daemon failed (500).
+    Failed,
+}
+
+/// A request that was not done: what is wrong, and what to do about it.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, Serialize, Deserialize)]
+#[error("{error}")]
+pub struct Problem {
+    /// Which kind.
+    pub kind: ProblemKind,
+    /// What is wrong.
+    pub error: String,
+    /// What to do about it.
+    pub remedy: String,
+}
+
+impl Problem {
+    /// A problem of the given kind.
+    pub fn new(kind: ProblemKind, error: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self { kind, error: error.into(), remedy: remedy.into() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn status_and_events_survive_the_wire() {
+        let status = Status {
+            state: "hold".into(),
+            faults: vec![Fault::new(FaultCode::ImuStale, Some("paper"), true, false, "check the cable")],
+            frees: vec![FreeStatus { name: "paper".into(), angle_rad: Some(f64::NAN), ..Default::default() }],
+            ..Default::default()
+        };
+        let text = serde_json::to_string(&status).unwrap();
+        assert!(text.contains(r#""loop":{"#) && text.contains(r#""name":"imu_stale""#), "{text}");
+        let back: Status = serde_json::from_str(&text).unwrap();
+        assert_eq!(back.frees[0].angle_rad, None, "what is not a number arrives as no value");
+        assert!(back.is_faulted());
+
+        let event = Event::now(Happening::Fault(status.faults[0].clone()));
+        let text = serde_json::to_string(&event).unwrap();
+        assert!(text.contains(r#""event":"fault""#) && text.contains(r#""code":7"#), "{text}");
+        assert_eq!(serde_json::from_str::<Event>(&text).unwrap(), event);
+    }
+
+    #[test]
+    fn unknown_keys_are_refused() {
+        assert!(serde_json::from_str::<Arm>(r#"{"accept_margins": true}"#).is_err());
+        assert!(serde_json::from_str::<Set>(r#"{"free": "paper", "pressure_psi": 7}"#).is_err());
+        assert_eq!(serde_json::from_str::<Arm>("{}").unwrap(), Arm::default());
+    }
+}
