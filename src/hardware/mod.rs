@@ -6,9 +6,14 @@
 //! take their time from a [`Clock`](crate::clock::Clock) and their bus as a trait, so that simulated chips at
 //! register and byte level drive the very same code.
 
+pub mod alicat;
+pub mod alicat_frame;
 mod error;
 mod imu;
 mod regulator;
+pub mod serial;
+pub mod serial_line;
+pub mod serial_owner;
 mod statistics;
 pub mod wiring;
 

@@ -1,0 +1,286 @@
+//! One request, one reply: transactions on a serial line whose devices speak only when asked.
+//!
+//! A device answers with a line that ends in CR, and what it does with a command that comes before is undefined.
+//! So the line waits for the reply, and between transactions for 3.5 idle characters. The danger is the *late*
+//! reply, the one that arrives after its transaction was given up: taken for the answer to the next command, it
+//! would put every reading one step behind. After a timeout the line is therefore drained until it is quiet; if
+//! the missing reply turns up, the unit is in step again. If it does not, it may still be on its way: then the
+//! unit's next reply is not used, only waited for, and followed by another quiet time. Other units tell their
+//! replies from a late one by its id, the first byte of every command and reply. The quiet times grow with every
+//! failure in a row, so that they outlast any delay below `MAX_QUIET`.
+
+use std::io;
+use std::pin::{Pin, pin};
+use std::sync::Arc;
+use std::task::Poll;
+use std::time::Duration;
+
+use futures_util::future::{Either, poll_fn, select};
+use thiserror::Error;
+use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt, ReadBuf};
+
+use super::Counter;
+use crate::clock::{Clock, Time};
+
+/// Bits on the wire for one byte: start, eight data, stop.
+const BITS_PER_BYTE: u32 = 10;
+/// The longest reply that is waited for, bytes: a frame with every column and token.
+const LONGEST_REPLY: u32 = 64;
+/// What device, adapter and operating system may take beyond the bytes themselves.
+const LATENCY: Duration = Duration::from_millis(25);
+/// First quiet time after a failure; an adapter hands its bytes on within 16 ms.
+const QUIET: Duration = Duration::from_millis(20);
+/// Longest quiet time.
+const MAX_QUIET: Duration = Duration::from_millis(640);
+/// A line that is not quiet for so long is babbling.
+const BABBLE: Duration = Duration::from_secs(2);
+/// Replies longer than this are noise.
+const BUFFER: usize = 512;
+
+/// What has happened on a line since the start.
+#[derive(Debug, Default)]
+pub struct LineStatistics {
+    /// Commands sent.
+    pub transactions: Counter,
+    /// Replies that did not come in time.
+    pub timeouts: Counter,
+    /// Lines that arrived when none was expected: replies to commands that had been given up.
+    pub late_frames: Counter,
+    /// Replies that could not be understood.
+    pub malformed: Counter,
+    /// Commands that a unit rejected.
+    pub rejected: Counter,
+    /// Accepted set-points that were not the ones sent.
+    pub echo_mismatches: Counter,
+    /// Status tokens that this program does not know.
+    pub unknown_tokens: Counter,
+    /// Times the line was opened again.
+    pub reconnects: Counter,
+}
+
+/// Why a transaction brought no reply.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum LineError {
+    /// Nothing, or no complete line, in time.
+    #[error("no reply within {0:?}")]
+    TimedOut(Duration),
+    /// A reply came, but after an earlier timeout it could have been the earlier command's: not used.
+    #[error("the unit was out of step; this reply served to bring it back")]
+    OutOfStep,
+    /// Bytes keep coming and never make a line, or never stop.
+    #[error("the line babbles")]
+    Babble,
+    /// The other end is gone.
+    #[error("the line is unplugged")]
+    Unplugged,
+    /// The system refuses to read or write.
+    #[error("{0}")]
+    Io(String),
+}
+
+impl LineError {
+    /// Whether only opening the line again can help.
+    pub const fn is_dead(&self) -> bool {
+        matches!(self, Self::Unplugged | Self::Io(_))
+    }
+}
+
+impl From<io::Error> for LineError {
+    fn from(error: io::Error) -> Self {
+        match error.kind() {
+            io::ErrorKind::BrokenPipe | io::ErrorKind::UnexpectedEof | io::ErrorKind::WriteZero => Self::Unplugged,
+            _ => Self::Io(error.to_string()),
+        }
+    }
+}
+
+/// A serial line with devices that speak when asked.
+#[derive(Debug)]
+pub struct Line<S> {
+    stream: S,
+    clock: Clock,
+    byte_time: Duration,
+    buffer: Vec<u8>,
+    /// When the last byte went over the line, as far as is known.
+    last_byte: Time,
+    /// The latest reply, without its CR.
+    reply: Vec<u8>,
+    /// Units whose reply may still be on its way, a bit each.
+    missing: u32,
+    /// Failures since the last reply that was used.
+    failures: u32,
+    statistics: Arc<LineStatistics>,
+}
+
+impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
+    /// A line of `baud` over `stream`.
+    pub fn new(stream: S, clock: Clock, baud: u32, statistics: Arc<LineStatistics>) -> Self {
+        let byte_time = Duration::from_secs(1) * BITS_PER_BYTE / baud.max(1);
+        let last_byte = clock.now();
+        let (buffer, reply) = (Vec::new(), Vec::new());
+        Self { stream, clock, byte_time, buffer, last_byte, reply, missing: 0, failures: 0, statistics }
+    }
+
+    /// The clock that the line goes by.
+    pub fn clock(&self) -> &Clock {
+        &self.clock
+    }
+
+    /// What has happened so far.
+    pub fn statistics(&self) -> &Arc<LineStatistics> {
+        &self.statistics
+    }
+
+    /// Sends `command` (CR is added) and returns the reply without its CR.
+    pub async fn transact(&mut self, command: &[u8]) -> Result<&[u8], LineError> {
+        let unit = bit(command);
+        let patience = self.byte_time * LONGEST_REPLY + LATENCY;
+        self.send(command).await?;
+        let deadline = self.last_byte + patience;
+        loop {
+            if self.take_line() {
+                let sender = bit(&self.reply);
+                if sender & self.missing & !unit == 0 {
+                    break;
+                }
+                self.missing &= !sender;
+                self.statistics.late_frames.increment();
+            } else if self.buffer.len() > BUFFER {
+                self.resynchronise().await?;
+                return Err(LineError::Babble);
+            } else if !self.receive(deadline).await? {
+                self.statistics.timeouts.increment();
+                self.missing |= unit;
+                self.resynchronise().await?;
+                return Err(LineError::TimedOut(patience));
+            }
+        }
+        if self.missing & unit != 0 {
+            self.drain(self.quiet()).await?;
+            self.missing &= !unit;
+            return Err(LineError::OutOfStep);
+        }
+        self.failures = 0;
+        Ok(&self.reply)
+    }
+
+    /// Sends `command` and returns every line of an answer that ends when the line falls silent for `pause`;
+    /// empty if nothing comes.
+    pub async fn transact_lines(&mut self, command: &[u8], pause: Duration) -> Result<Vec<Vec<u8>>, LineError> {
+        self.send(command).await?;
+        let until = self.clock.now() + BABBLE;
+        let first = self.last_byte + self.byte_time * LONGEST_REPLY + LATENCY;
+        let mut deadline = first;
+        while self.receive(deadline.min(until)).await? {
+            deadline = first.max(self.clock.now() + pause);
+        }
+        if self.clock.now() >= until {
+            return Err(LineError::Babble);
+        }
+        let mut lines: Vec<Vec<u8>> = self.buffer.split(|&c| c == b'\r').map(<[u8]>::to_vec).collect();
+        lines.retain(|line| !line.trim_ascii().is_empty());
+        self.buffer.clear();
+        self.missing &= !bit(command);
+        Ok(lines)
+    }
+
+    /// To be called when a reply made no sense: whatever else is coming is awaited and dropped.
+    pub async fn resynchronise(&mut self) -> Result<(), LineError> {
+        self.failures = self.failures.saturating_add(1);
+        self.drain(self.quiet()).await
+    }
+
+    /// Reads and drops until nothing has come for `quiet`.
+    async fn drain(&mut self, quiet: Duration) -> Result<(), LineError> {
+        let until = self.clock.now() + BABBLE;
+        loop {
+            self.drop_lines();
+            if !self.receive(self.clock.now() + quiet).await? {
+                return Ok(());
+            }
+            if self.clock.now() > until {
+                return Err(LineError::Babble);
+            }
+        }
+    }
+
+    /// Moves the first complete line from the buffer to `reply`; false if there is none.
+    fn take_line(&mut self) -> bool {
+        let Some(end) = self.buffer.iter().position(|&c| c == b'\r') else { return false };
+        self.reply.clear();
+        self.reply.extend(self.buffer.drain(..=end));
+        self.reply.pop();
+        true
+    }
+
+    /// Drops the complete lines that have come unasked: they are late replies.
+    fn drop_lines(&mut self) {
+        while self.take_line() {
+            self.missing &= !bit(&self.reply);
+            self.statistics.late_frames.increment();
+        }
+        if self.buffer.len() > BUFFER {
+            self.buffer.clear();
+        }
+    }
+
+    fn quiet(&self) -> Duration {
+        (QUIET * 2u32.saturating_pow(self.failures.saturating_sub(1).min(16))).min(MAX_QUIET)
+    }
+
+    /// Waits for the idle time, drops what nobody asked for, and sends `command` with its CR.
+    async fn send(&mut self, command: &[u8]) -> Result<(), LineError> {
+        let idle = self.byte_time * 7 / 2;
+        let until = self.clock.now() + BABBLE;
+        // Whatever comes in the idle time is late; then the idle time begins anew.
+        while self.receive(self.last_byte + idle).await? {
+            self.drop_lines();
+            if self.clock.now() >= until {
+                return Err(LineError::Babble);
+            }
+        }
+        self.drop_lines();
+        self.buffer.clear();
+        let mut bytes = Vec::with_capacity(command.len() + 1);
+        bytes.extend_from_slice(command);
+        bytes.push(b'\r');
+        self.statistics.transactions.increment();
+        let on_wire = self.byte_time * bytes.len() as u32;
+        let deadline = self.clock.now() + on_wire + LATENCY;
+        match select(pin!(self.stream.write_all(&bytes)), pin!(self.clock.sleep_until(deadline))).await {
+            Either::Left((result, _)) => result?,
+            Either::Right(_) => return Err(LineError::Io("the line takes no more bytes".to_owned())),
+        }
+        self.last_byte = self.clock.now() + on_wire;
+        Ok(())
+    }
+
+    /// Appends what arrives to the buffer; false if nothing has by `deadline`.
+    async fn receive(&mut self, deadline: Time) -> Result<bool, LineError> {
+        let mut sleep = pin!(self.clock.sleep_until(deadline));
+        let (stream, buffer) = (&mut self.stream, &mut self.buffer);
+        let received = poll_fn(|cx| {
+            let mut bytes = [0; 128];
+            let mut read = ReadBuf::new(&mut bytes);
+            match Pin::new(&mut *stream).poll_read(cx, &mut read) {
+                Poll::Ready(Ok(())) if read.filled().is_empty() => Poll::Ready(Err(LineError::Unplugged)),
+                Poll::Ready(Ok(())) => {
+                    buffer.extend_from_slice(read.filled());
+                    Poll::Ready(Ok(true))
+                }
+                Poll::Ready(Err(error)) => Poll::Ready(Err(error.into())),
+                Poll::Pending => sleep.as_mut().poll(cx).map(|()| Ok(false)),
+            }
+        })
+        .await?;
+        if received {
+            self.last_byte = self.clock.now();
+        }
+        Ok(received)
+    }
+}
+
+/// The bit of the unit that a command or reply begins with; none for what does not begin with an id.
+fn bit(line: &[u8]) -> u32 {
+    line.first().filter(|c| c.is_ascii_uppercase()).map_or(0, |c| 1 << (c - b'A'))
+}

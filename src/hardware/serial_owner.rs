@@ -1,0 +1,325 @@
+//! The owner of one serial line: polls its units in turn, commands zero first, recovers by itself.
+//!
+//! A turn is one exchange with one unit: it writes the latest command's set-point and reads the pressure. Units
+//! whose pressure is to be taken away come first. A command that has grown older than the rig's limit counts as
+//! zero. The ladder of recovery: try again (the line drains itself), open the line again, then say
+//! [`RegulatorHealth::Lost`] and keep trying. The first frame a unit hears after any of it is the set-point zero.
+//!
+//! [`SerialOwner::run`] is one future. Live it has a thread and a runtime of its own ([`super::serial`]); on the
+//! stepped clock a scheduler polls it until it is idle.
+
+use std::future::Future;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncWrite};
+use triple_buffer::{Input, Output};
+
+use super::alicat::{AlicatError, Unit};
+use super::serial_line::{Line, LineStatistics};
+use super::wiring::SerialWiring;
+use super::{DeviceStatistics, HardwareError};
+use crate::clock::{Clock, Time};
+use crate::signal::{Command, PressureSample, RegulatorHealth};
+
+/// Failures in a row after which a unit is lost.
+const LOST_AFTER: u32 = 3;
+/// How often a lost unit is tried.
+const PROBE_PERIOD: Duration = Duration::from_millis(500);
+/// How often a line that cannot be opened is tried.
+const REOPEN_PERIOD: Duration = Duration::from_millis(200);
+/// How often a unit in analogue mode is asked whether it still is.
+const SOURCE_PERIOD: Duration = Duration::from_secs(2);
+
+/// What has happened on a line and to its units since the start.
+#[derive(Debug)]
+pub struct SerialStatistics {
+    /// The line.
+    pub line: Arc<LineStatistics>,
+    /// Its units, in the order of the wiring.
+    pub units: Vec<Arc<DeviceStatistics>>,
+}
+
+/// How a unit stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Link {
+    /// To be identified.
+    Unknown,
+    /// Identified and answering.
+    Up,
+    /// Given up, and tried again at this time.
+    Lost(Time),
+}
+
+#[derive(Debug)]
+struct Slot {
+    unit: Unit,
+    link: Link,
+    failures: u32,
+    /// Turn in which it was served last.
+    served: u64,
+    sample: PressureSample,
+    check_source_at: Time,
+    publish: Input<PressureSample>,
+    statistics: Arc<DeviceStatistics>,
+}
+
+/// Why a line is no longer served.
+enum End {
+    Stopped,
+    Dead(AlicatError),
+    AllLost,
+}
+
+/// The owner of one serial line.
+#[derive(Debug)]
+pub struct SerialOwner<F> {
+    clock: Clock,
+    name: Arc<str>,
+    baud: u32,
+    command_timeout: Duration,
+    open: F,
+    command: Output<Command>,
+    slots: Vec<Slot>,
+    turn: u64,
+    stop: Arc<AtomicBool>,
+    statistics: Arc<SerialStatistics>,
+}
+
+impl<F, Fut, S> SerialOwner<F>
+where
+    F: FnMut() -> Fut,
+    Fut: Future<Output = Result<S, HardwareError>>,
+    S: AsyncRead + AsyncWrite + Unpin,
+{
+    /// An owner that opens its line with `open`, now and whenever it has to be opened again; takes its commands
+    /// from `command`, publishes into `samples` (one for each unit of the wiring, in its order), and ends with
+    /// the set-points at zero when `stop` is set.
+    pub fn new(
+        wiring: &SerialWiring,
+        clock: Clock,
+        command_timeout: Duration,
+        open: F,
+        command: Output<Command>,
+        samples: Vec<Input<PressureSample>>,
+        stop: Arc<AtomicBool>,
+    ) -> Result<Self, HardwareError> {
+        let name: Arc<str> = wiring.device.display().to_string().into();
+        let refuse = |reason: String, remedy: &str| HardwareError::Unsafe {
+            device: format!("serial line {} ({name})", wiring.name).into(),
+            reason,
+            remedy: remedy.to_owned(),
+        };
+        if samples.len() != wiring.units.len() {
+            let reason = format!("{} units are wired to {} slots", wiring.units.len(), samples.len());
+            return Err(refuse(reason, "Give every unit one slot"));
+        }
+        let mut slots = Vec::with_capacity(samples.len());
+        for (unit, publish) in wiring.units.iter().zip(samples) {
+            let Some(unit) = Unit::new(*unit, &name) else {
+                let reason = format!("`{}` is no unit id", unit.id.escape_ascii());
+                return Err(refuse(reason, "Use one of the letters A to Z"));
+            };
+            let statistics = Arc::new(DeviceStatistics::new(unit.device().clone()));
+            slots.push(Slot {
+                unit,
+                link: Link::Unknown,
+                failures: 0,
+                served: 0,
+                sample: PressureSample { pressure: f64::NAN, setpoint: f64::NAN, ..PressureSample::default() },
+                check_source_at: Time::ZERO,
+                publish,
+                statistics,
+            });
+        }
+        let statistics = Arc::new(SerialStatistics {
+            line: Arc::default(),
+            units: slots.iter().map(|s| s.statistics.clone()).collect(),
+        });
+        let baud = wiring.baud;
+        Ok(Self { clock, name, baud, command_timeout, open, command, slots, turn: 0, stop, statistics })
+    }
+
+    /// What is counted; it goes on counting while the owner runs.
+    pub fn statistics(&self) -> Arc<SerialStatistics> {
+        self.statistics.clone()
+    }
+
+    /// Serves the line until told to stop.
+    pub async fn run(mut self) {
+        let mut opened = false;
+        while !self.stopped() {
+            match (self.open)().await {
+                Ok(stream) => {
+                    if std::mem::replace(&mut opened, true) {
+                        self.statistics.line.reconnects.increment();
+                        self.slots.iter().for_each(|s| s.statistics.reopens.increment());
+                    }
+                    let mut line = Line::new(stream, self.clock.clone(), self.baud, self.statistics.line.clone());
+                    let since = self.clock.now();
+                    match self.serve(&mut line).await {
+                        End::Stopped => return,
+                        // Unplugged: the next attempt to open it says whether it is there.
+                        End::Dead(error) => {
+                            tracing::warn!("serial line {}: {error}; opening it again", self.name);
+                            if self.clock.now().since(since) > REOPEN_PERIOD {
+                                continue;
+                            }
+                            self.lose_all(&error.at(&self.name));
+                        }
+                        End::AllLost => {}
+                    }
+                }
+                Err(error) => self.lose_all(&error),
+            }
+            self.clock.sleep(REOPEN_PERIOD).await;
+        }
+    }
+
+    async fn serve(&mut self, line: &mut Line<S>) -> End {
+        for slot in &mut self.slots {
+            match slot.link {
+                Link::Up => slot.link = Link::Unknown,
+                Link::Lost(_) => slot.link = Link::Lost(self.clock.now()),
+                Link::Unknown => {}
+            }
+        }
+        // The first frame of every unit is zero, before anything is asked.
+        for i in 0..self.slots.len() {
+            if let Err(error) = self.slots[i].unit.on(line).zero_blindly().await
+                && error.is_dead_line()
+            {
+                return End::Dead(error);
+            }
+        }
+        loop {
+            if self.stopped() {
+                return self.leave(line).await;
+            }
+            let now = self.clock.now();
+            let command = self.latest(now);
+            let Some(i) = self.choose(now, &command) else {
+                if self.slots.iter().all(|s| matches!(s.link, Link::Lost(_))) {
+                    return End::AllLost;
+                }
+                self.clock.sleep(REOPEN_PERIOD).await;
+                continue;
+            };
+            self.turn += 1;
+            let turn = self.turn;
+            let slot = &mut self.slots[i];
+            slot.served = turn;
+            if let Err(error) = slot.turn(line, &command, now).await {
+                if error.is_dead_line() {
+                    return End::Dead(error);
+                }
+                self.slots[i].failed(&error, self.clock.now());
+            }
+        }
+    }
+
+    /// The latest command; zero everywhere if it is too old.
+    fn latest(&mut self, now: Time) -> Command {
+        let command = *self.command.read();
+        let fresh = now.since(command.time) <= self.command_timeout;
+        if fresh { command } else { Command { time: command.time, ..Command::default() } }
+    }
+
+    /// Whose turn it is: first those whose pressure is to be taken away, then in turn; none if all are lost and
+    /// not due for a trial.
+    fn choose(&self, now: Time, command: &Command) -> Option<usize> {
+        let due = |s: &Slot| !matches!(s.link, Link::Lost(at) if now < at);
+        let slots = self.slots.iter().enumerate().filter(|(_, s)| due(s));
+        slots
+            .min_by_key(|(_, s)| {
+                let urgent = s.link == Link::Up
+                    && s.unit.target(command) == 0.0
+                    && s.sample.setpoint != 0.0
+                    // A unit that does not obey must not keep the others waiting.
+                    && s.served != self.turn;
+                (!urgent, matches!(s.link, Link::Lost(_)), s.served)
+            })
+            .map(|(i, _)| i)
+    }
+
+    /// Commands zero once more on the way out.
+    async fn leave(&mut self, line: &mut Line<S>) -> End {
+        for slot in &mut self.slots {
+            if slot.unit.on(line).zero_blindly().await.is_err_and(|e| e.is_out_of_step()) {
+                // The set-point is out; only the reply could not be used.
+                continue;
+            }
+        }
+        End::Stopped
+    }
+
+    fn lose_all(&mut self, error: &HardwareError) {
+        let now = self.clock.now();
+        for slot in &mut self.slots {
+            slot.statistics.note_error(error);
+            slot.lose(now);
+        }
+    }
+
+    fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+}
+
+impl Slot {
+    /// One exchange.
+    async fn turn<S>(&mut self, line: &mut Line<S>, command: &Command, now: Time) -> Result<(), AlicatError>
+    where
+        S: AsyncRead + AsyncWrite + Unpin,
+    {
+        let sample = if self.link == Link::Up {
+            if self.unit.is_analog() && now >= self.check_source_at {
+                self.check_source_at = now + SOURCE_PERIOD;
+                self.unit.on(line).check_source().await?;
+            }
+            let target = self.unit.target(command);
+            self.unit.on(line).write(target).await?
+        } else {
+            let sample = self.unit.on(line).identify().await?;
+            self.statistics.note_connected(self.unit.identity());
+            self.check_source_at = now + SOURCE_PERIOD;
+            self.link = Link::Up;
+            sample
+        };
+        self.failures = 0;
+        self.statistics.reads.increment();
+        self.sample = sample;
+        self.publish.write(sample);
+        Ok(())
+    }
+
+    fn failed(&mut self, error: &AlicatError, now: Time) {
+        self.statistics.retries.increment();
+        if error.is_out_of_step() {
+            return;
+        }
+        self.failures += 1;
+        if self.failures >= LOST_AFTER || matches!(self.link, Link::Lost(_)) {
+            self.statistics.note_error(&error.at(self.unit.device()));
+            self.lose(now + PROBE_PERIOD);
+        }
+    }
+
+    fn lose(&mut self, probe: Time) {
+        if !matches!(self.link, Link::Lost(_)) {
+            self.statistics.losses.increment();
+            self.sample.health = RegulatorHealth::Lost;
+            self.publish.write(self.sample);
+        }
+        self.link = Link::Lost(probe);
+    }
+}
+
+impl Unit {
+    /// What `command` asks of this unit, Pa: within its full scale, zero under a vent, zero for what is no number.
+    fn target(&self, command: &Command) -> f64 {
+        let wanted = command.pressure.get(self.wiring().free).copied().unwrap_or(0.0);
+        if command.vent || wanted.is_nan() { 0.0 } else { wanted.clamp(0.0, self.wiring().full_scale) }
+    }
+}
