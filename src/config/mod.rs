@@ -1,6 +1,33 @@
 //! Configuration: rig.toml, calibration and experiment files, checked and built into the run-time values of the
-//! floors below. Every problem is named, all of them at once.
+//! floors below.
+//!
+//! # How a file is read
+//!
+//! `reader` walks the TOML document key by key and *notes* what is wrong instead of stopping at it: syntax,
+//! unknown keys, wrong types, values out of range, contradictions between keys and between files. Each
+//! [`Problem`] says where it is, what is written, which rule it breaks and what to do; [`ConfigError`] holds all
+//! of them. Only from files without a problem is anything built ([`Rig::load`]).
+//!
+//! Units are in the key names (`max_pressure_psi`, `length_mm`); everything built is SI.
+//!
+//! # Who writes what
+//!
+//! rig.toml and experiment files belong to a person, and the program never writes them. Calibration files belong to
+//! the program, which replaces them atomically ([`atomic`]).
 
+pub mod atomic;
+mod build;
+pub mod calibration;
+mod free;
+pub mod gains;
+mod key;
+mod load;
 mod problem;
+mod reader;
+mod rig;
+mod sections;
 
+pub use calibration::Calibration;
+pub use load::SourceFile;
 pub use problem::{ConfigError, Problem};
+pub use rig::{Backend, LoopConfig, RecordConfig, Rig, SocketConfig};

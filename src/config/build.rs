@@ -1,0 +1,192 @@
+//! From what has been read to what the floors below take.
+
+use std::time::Duration;
+
+use super::calibration::{Calibration, keys};
+use super::free::{Connection, RawFree};
+use super::load::SourceFile;
+use super::rig::Rig;
+use super::sections::{RawRig, duration};
+use crate::control::{ControlConfig, FreeControl, ImuChannel, RegulatorChannel};
+use crate::hardware::wiring::{DacChannel, DacWiring, I2cWiring, ImuWiring, SerialWiring, UnitWiring, Wiring};
+use crate::sim::{BenchConfig, ImuSim, PlantSim, RegulatorSim};
+
+/// Characters of one transaction with an Alicat unit: `AS5.0000\r`, its reply `A +050.42 +050.42\r`, and the 3.5
+/// idle characters that the unit needs before the next.
+const TRANSACTION_CHARACTERS: f64 = 9.0 + 18.0 + 3.5;
+/// Bits of one character on the line (8N1).
+const BITS_PER_CHARACTER: f64 = 10.0;
+/// Period at which a DAC's channels are written.
+const DAC_PERIOD: Duration = Duration::from_millis(10);
+/// What is assumed of a regulator that has not been calibrated: lag, dead time (s) and fastest rise (Pa/s).
+const NOMINAL_LAG: f64 = 0.060;
+const NOMINAL_DEAD_TIME: f64 = 0.015;
+const NOMINAL_FILL: f64 = 30.0 * crate::units::PASCAL_PER_PSI;
+/// What is assumed of an IMU's fusion delay, s.
+const NOMINAL_IMU_DELAY: f64 = 0.015;
+
+/// Builds the rig; `raw` has been found to be without problems.
+pub(super) fn build(raw: RawRig, files: Vec<SourceFile>) -> Rig {
+    Rig {
+        control: control(&raw),
+        wiring: wiring(&raw),
+        bench: bench(&raw),
+        name: raw.name,
+        backend: raw.backend,
+        realtime: raw.realtime,
+        record: raw.record,
+        socket: raw.socket,
+        calibration_directory: raw.calibration_directory,
+        calibrations: raw.frees.into_iter().map(|free| free.calibration).collect(),
+        files,
+    }
+}
+
+fn control(raw: &RawRig) -> ControlConfig {
+    ControlConfig {
+        period: raw.realtime.period,
+        vent_time: raw.safety.vent_time,
+        ramp_time: raw.safety.ramp_time,
+        require_realtime: raw.realtime.require_realtime,
+        frees: raw.frees.iter().map(|free| free_control(raw, free)).collect(),
+    }
+}
+
+fn free_control(raw: &RawRig, free: &RawFree) -> FreeControl {
+    let known = &free.calibration;
+    FreeControl {
+        name: free.name.clone(),
+        free: known.free(),
+        gains: free.gains,
+        limits: free.limits,
+        imu: free.imu.as_ref().map(|imu| ImuChannel {
+            axis: imu.axis,
+            period: imu.period,
+            delay: duration(known.value(&keys::IMU_DELAY).unwrap_or(NOMINAL_IMU_DELAY)),
+        }),
+        regulator: RegulatorChannel {
+            period: regulator_period(raw, free),
+            lag: duration(known.value(&keys::REGULATOR_LAG).unwrap_or(NOMINAL_LAG)),
+            dead_time: duration(known.value(&keys::REGULATOR_DEAD_TIME).unwrap_or(NOMINAL_DEAD_TIME)),
+            fastest_fill: known.value(&keys::FASTEST_FILL).unwrap_or(NOMINAL_FILL),
+            full_scale: free.regulator.full_scale,
+            measures: matches!(free.regulator.connection, Connection::Alicat { .. }),
+        },
+    }
+}
+
+/// Period at which the FREE's regulator is served: every unit on its line comes in between.
+fn regulator_period(raw: &RawRig, free: &RawFree) -> Duration {
+    let Connection::Alicat { line, .. } = &free.regulator.connection else { return DAC_PERIOD };
+    let units = raw
+        .frees
+        .iter()
+        .filter(|other| matches!(&other.regulator.connection, Connection::Alicat { line: of, .. } if of == line));
+    let baud = raw.serial.iter().find(|serial| serial.name == *line).map_or(19200, |serial| serial.baud);
+    duration(units.count() as f64 * TRANSACTION_CHARACTERS * BITS_PER_CHARACTER / f64::from(baud))
+}
+
+fn wiring(raw: &RawRig) -> Wiring {
+    Wiring {
+        i2c: raw
+            .i2c
+            .iter()
+            .map(|bus| I2cWiring {
+                name: bus.name.clone(),
+                device: bus.device.clone(),
+                imus: imus(raw, &bus.name),
+                dacs: dacs(raw, &bus.name),
+            })
+            .collect(),
+        serial: raw
+            .serial
+            .iter()
+            .map(|line| SerialWiring {
+                name: line.name.clone(),
+                device: line.device.clone(),
+                baud: line.baud,
+                units: units(raw, &line.name),
+            })
+            .collect(),
+        command_timeout: raw.safety.command_timeout,
+    }
+}
+
+fn imus(raw: &RawRig, bus: &str) -> Vec<ImuWiring> {
+    let frees = raw.frees.iter().enumerate();
+    frees
+        .filter_map(|(index, free)| {
+            let imu = free.imu.as_ref().filter(|imu| imu.bus == bus)?;
+            Some(ImuWiring {
+                frees: vec![index],
+                address: imu.address,
+                period: imu.period,
+                profile: free.calibration.imu_profile,
+            })
+        })
+        .collect()
+}
+
+fn dacs(raw: &RawRig, bus: &str) -> Vec<DacWiring> {
+    let mut dacs: Vec<DacWiring> = Vec::new();
+    for (index, free) in raw.frees.iter().enumerate() {
+        let Connection::Dac { bus: of, address, channel } = &free.regulator.connection else { continue };
+        if of != bus {
+            continue;
+        }
+        let at = dacs.iter().position(|dac| dac.address == *address).unwrap_or_else(|| {
+            dacs.push(DacWiring { address: *address, channels: [None; 4] });
+            dacs.len() - 1
+        });
+        dacs[at].channels[*channel] = dac_channel(index, &free.calibration);
+    }
+    dacs
+}
+
+fn dac_channel(free: usize, known: &Calibration) -> Option<DacChannel> {
+    Some(DacChannel {
+        free,
+        zero_code: known.value(&keys::ZERO_CODE)?,
+        pascals_per_code: known.value(&keys::PRESSURE_PER_CODE)?,
+    })
+}
+
+fn units(raw: &RawRig, line: &str) -> Vec<UnitWiring> {
+    let frees = raw.frees.iter().enumerate();
+    frees
+        .filter_map(|(index, free)| match &free.regulator.connection {
+            Connection::Alicat { line: of, id, pascals_per_unit } if of == line => Some(UnitWiring {
+                free: index,
+                id: *id,
+                full_scale: free.regulator.full_scale,
+                pascals_per_unit: *pascals_per_unit,
+            }),
+            _ => None,
+        })
+        .collect()
+}
+
+fn bench(raw: &RawRig) -> BenchConfig {
+    BenchConfig {
+        seed: raw.sim.seed,
+        plants: raw
+            .frees
+            .iter()
+            .map(|free| PlantSim {
+                nominal: free.calibration.free(),
+                scatter: free.twin.scatter,
+                hysteresis: free.twin.hysteresis,
+                load_moment: free.twin.load_moment,
+                regulator: RegulatorSim {
+                    lag: free.twin.lag,
+                    dead_time: free.twin.dead_time,
+                    slew: free.twin.slew,
+                    noise: free.twin.noise,
+                    full_scale: free.regulator.full_scale,
+                },
+            })
+            .collect(),
+        imu: ImuSim { delay: raw.sim.imu_delay, noise: raw.sim.imu_noise, rate_noise: raw.sim.imu_rate_noise },
+        dump_valve: raw.sim.dump_valve,
+    }
+}

@@ -1,0 +1,376 @@
+//! calibration/NAME.toml: what is known about one FREE, and how it is known. The program writes it, never a person
+//! who has a better way.
+//!
+//! Every value is an inline table: `value` in the unit of the key's name, `standard_uncertainty` (same unit),
+//! `method`, `residual` of the fit (same unit as what was fitted), `date`, `run` that it came from, and
+//! `prediction` of the finite-element model (same unit as the value). Only `value` and `method` are required.
+//!
+//! ```toml
+//! schema = 1
+//! name = "paper"
+//!
+//! [lumped]
+//! torsional_stiffness_nm_per_rad = { value = 0.086, standard_uncertainty = 0.002, method = "least squares" }
+//!
+//! [gains.mine]
+//! proportional_pa_per_rad = 11600.0
+//! integral_pa_per_rad_s = 2.0e5
+//! ```
+//!
+//! [`SCHEMA`] lists every key with its unit, range and meaning; the README's table is held to it by a test.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::io;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+
+use super::atomic;
+use super::gains;
+use super::key;
+use super::problem::{ConfigError, Problem};
+use super::reader::{Section, Source};
+use crate::control::Gains;
+use crate::model::Free;
+
+/// Version of the schema.
+pub const SCHEMA_VERSION: i64 = 1;
+
+/// One key of the schema.
+#[derive(Debug)]
+pub struct Key {
+    /// Section that it stands in.
+    pub section: &'static str,
+    /// Its name, which ends in its unit.
+    pub name: &'static str,
+    /// Whether a calibration without it is none.
+    pub required: bool,
+    /// Lowest and highest value, in the unit of the name.
+    pub range: (f64, f64),
+    /// What it is.
+    pub meaning: &'static str,
+}
+
+/// The keys of the schema.
+pub mod keys {
+    use super::Key;
+
+    macro_rules! keys {
+        ($($constant:ident: $section:literal $name:literal $required:literal $range:expr, $meaning:literal;)+) => {
+            $(
+                #[doc = $meaning]
+                pub const $constant: Key = Key {
+                    section: $section, name: $name, required: $required, range: $range, meaning: $meaning,
+                };
+            )+
+            pub(super) const ALL: &[Key] = &[$($constant),+];
+        };
+    }
+
+    keys! {
+        WINDING_ANGLE: "geometry" "winding_angle_deg" true (-89.0, 89.0),
+            "Winding angle of the fibres from the tube's axis; negative for an L FREE, which turns positive under pressure";
+        LENGTH: "geometry" "length_mm" true (1.0, 2000.0), "Length at rest between the ends";
+        FIBER_RADIUS: "geometry" "fiber_radius_mm" true (0.1, 200.0), "Radius of the fibres at rest";
+        INNER_DIAMETER: "geometry" "inner_diameter_mm" false (0.1, 400.0), "Inner diameter of the tube";
+        WALL: "geometry" "wall_mm" false (0.01, 50.0), "Thickness of the tube's wall";
+        FIBERS: "geometry" "fibers" false (1.0, 200.0), "Number of fibres in the family";
+        FIBER_WIDTH: "geometry" "fiber_width_mm" false (0.01, 20.0), "Width of a fibre's strip along the circumference";
+        SHEAR_MODULUS: "material" "shear_modulus_mpa" false (0.001, 100.0), "Shear modulus mu of the rubber";
+        OGDEN_EXPONENT: "material" "ogden_exponent" false (-20.0, 20.0), "Exponent alpha of the first-order Ogden law";
+        FIBER_STIFFNESS: "material" "fiber_stiffness_n" false (0.1, 1e6), "EA of one fibre, force per unit strain";
+        END_MASS: "lumped" "end_mass_kg" true (1e-6, 100.0), "Mass of the end cap and of what hangs on it";
+        END_INERTIA: "lumped" "end_inertia_kg_m2" true (1e-12, 10.0), "Rotational inertia of the end about the axis";
+        AXIAL_STIFFNESS: "lumped" "axial_stiffness_n_per_m" true (0.1, 1e8), "Axial stiffness ke";
+        TORSIONAL_STIFFNESS: "lumped" "torsional_stiffness_nm_per_rad" true (1e-6, 1e4), "Torsional stiffness kt";
+        AXIAL_DAMPING: "lumped" "axial_damping_ns_per_m" true (0.0, 1e6), "Axial damping ce";
+        TORSIONAL_DAMPING: "lumped" "torsional_damping_nms_per_rad" true (0.0, 1e3), "Torsional damping ct";
+        REGULATOR_LAG: "regulator" "lag_ms" false (0.0, 5000.0), "First-order lag of the regulator";
+        REGULATOR_DEAD_TIME: "regulator" "dead_time_ms" false (0.0, 1000.0), "Dead time of the regulator";
+        FASTEST_FILL: "regulator" "fastest_fill_psi_per_s" false (0.1, 1e4), "Fastest rise of the pressure";
+        ZERO_CODE: "regulator" "zero_code" false (0.0, 4095.0),
+            "DAC code at which an analogue regulator begins to open";
+        PRESSURE_PER_CODE: "regulator" "span_pa_per_code" false (0.01, 1e4), "Pressure per DAC code above it";
+        IMU_DELAY: "imu" "delay_ms" false (0.0, 500.0), "From the motion to its reading";
+    }
+}
+
+/// Every key, in the order of the file.
+pub const SCHEMA: &[Key] = keys::ALL;
+
+/// One value and how it is known.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Entry {
+    /// The value, in the unit of its key.
+    pub value: f64,
+    /// Its standard uncertainty, in the same unit.
+    pub standard_uncertainty: Option<f64>,
+    /// How it was found: "given by ...", "least squares over ...".
+    pub method: String,
+    /// Root mean square of what the fit leaves over, in the unit of what was fitted.
+    pub residual: Option<f64>,
+    /// Date of it, `YYYY-MM-DD`.
+    pub date: Option<String>,
+    /// Id of the run that it came from.
+    pub run: Option<String>,
+    /// What the finite-element model predicts, in the unit of the key.
+    pub prediction: Option<f64>,
+}
+
+/// The calibration of one FREE.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Calibration {
+    /// Its name: the file's, without `.toml`.
+    pub name: String,
+    /// Where the FREE and its values come from, in words.
+    pub note: String,
+    /// BNO055 calibration profile (registers 0x55..=0x6A).
+    pub imu_profile: Option<[u8; 22]>,
+    entries: BTreeMap<&'static str, Entry>,
+    gains: BTreeMap<String, Gains>,
+}
+
+impl Calibration {
+    /// Reads the file `path`, or says everything that is wrong with it.
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
+        match std::fs::read_to_string(path) {
+            Ok(text) => Self::parse(path, &text).map_err(|problems| ConfigError { problems }),
+            Err(error) => Err(ConfigError {
+                problems: vec![Problem {
+                    file: path.to_owned(),
+                    line: None,
+                    key: String::new(),
+                    value: String::new(),
+                    rule: format!("cannot read the calibration: {error}"),
+                    remedy: "write the file, or name one that exists".into(),
+                }],
+            }),
+        }
+    }
+
+    /// Reads `text`, the contents of the file `path`.
+    pub(super) fn parse(path: &Path, text: &str) -> Result<Self, Vec<Problem>> {
+        let source = Source::new(path, text);
+        let calibration = source.parse().map(|table| read(Section::root(&source, &table)));
+        match (calibration, source.into_problems()) {
+            (Some(calibration), problems) if problems.is_empty() => Ok(calibration),
+            (_, problems) => Err(problems),
+        }
+    }
+
+    /// The entry of `key`.
+    pub fn entry(&self, key: &Key) -> Option<&Entry> {
+        self.entries.get(key.name)
+    }
+
+    /// The value of `key` in SI.
+    pub fn value(&self, key: &Key) -> Option<f64> {
+        self.entry(key).map(|entry| entry.value * key::scale(key.name))
+    }
+
+    /// Replaces the entry of `key`.
+    pub fn set(&mut self, key: &Key, entry: Entry) {
+        self.entries.insert(key.name, entry);
+    }
+
+    /// The gains `name`: the FREE's own, else the preset.
+    pub fn gains(&self, name: &str) -> Option<Gains> {
+        self.gains.get(name).copied().or_else(|| gains::preset(name))
+    }
+
+    /// Stores gains under `name`.
+    pub fn set_gains(&mut self, name: impl Into<String>, gains: Gains) {
+        self.gains.insert(name.into(), gains);
+    }
+
+    /// Names of all gains that [`Calibration::gains`] knows, the FREE's own first.
+    pub fn gain_names(&self) -> impl Iterator<Item = &str> {
+        let presets = gains::PRESETS.iter().map(|preset| preset.0);
+        self.gains.keys().map(String::as_str).chain(presets.filter(|name| !self.gains.contains_key(*name)))
+    }
+
+    /// The FREE as the lumped model takes it.
+    ///
+    /// A calibration that has been read has every value that is required; one that was put together by hand and
+    /// lacks one gives a FREE with values that are not numbers.
+    pub fn free(&self) -> Free {
+        let value = |key: &Key| self.value(key).unwrap_or(f64::NAN);
+        Free {
+            gamma: value(&keys::WINDING_ANGLE),
+            length: value(&keys::LENGTH),
+            radius: value(&keys::FIBER_RADIUS),
+            mass: value(&keys::END_MASS),
+            inertia: value(&keys::END_INERTIA),
+            axial_stiffness: value(&keys::AXIAL_STIFFNESS),
+            torsional_stiffness: value(&keys::TORSIONAL_STIFFNESS),
+            axial_damping: value(&keys::AXIAL_DAMPING),
+            torsional_damping: value(&keys::TORSIONAL_DAMPING),
+        }
+    }
+
+    /// Writes `directory`/NAME.toml as one step that cannot be seen half done, and answers its path.
+    pub fn write(&self, directory: &Path) -> io::Result<PathBuf> {
+        let path = directory.join(format!("{}.toml", self.name));
+        atomic::write(&path, self.to_toml().as_bytes())?;
+        Ok(path)
+    }
+
+    /// The file's text.
+    pub fn to_toml(&self) -> String {
+        let mut text = String::from("# Written by freerig; the README describes the schema.\n");
+        let mut line = |line: String| {
+            text.push_str(&line);
+            text.push('\n');
+        };
+        line(format!("schema = {SCHEMA_VERSION}"));
+        line(format!("name = {}", quoted(&self.name)));
+        if !self.note.is_empty() {
+            line(format!("note = {}", quoted(&self.note)));
+        }
+        let mut section = "";
+        for key in SCHEMA {
+            let entry = self.entry(key);
+            let profile = self.imu_profile.filter(|_| key.section == "imu");
+            if section != key.section && (entry.is_some() || profile.is_some()) {
+                section = key.section;
+                line(format!("\n[{section}]"));
+                if let Some(profile) = profile {
+                    line(format!("profile = \"{}\"", hex(&profile)));
+                }
+            }
+            if let Some(entry) = entry {
+                line(format!("{} = {}", key.name, inline(entry)));
+            }
+        }
+        for (name, gains) in &self.gains {
+            line(format!("\n[gains.{}]", quoted(name)));
+            for (key, value) in [
+                ("proportional_pa_per_rad", gains.proportional),
+                ("integral_pa_per_rad_s", gains.integral),
+                ("derivative_pa_s_per_rad", gains.derivative),
+                ("derivative_filter_hz", gains.derivative_filter),
+            ] {
+                line(format!("{key} = {value:?}"));
+            }
+        }
+        text
+    }
+}
+
+fn read(mut root: Section<'_>) -> Calibration {
+    root.integer("schema", None, SCHEMA_VERSION..=SCHEMA_VERSION);
+    let mut calibration = Calibration {
+        name: root.text("name", "paper"),
+        note: root.optional_text("note").unwrap_or_default(),
+        ..Calibration::default()
+    };
+    for name in ["geometry", "material", "lumped", "regulator", "imu"] {
+        let mut section = root.section(name);
+        for key in SCHEMA.iter().filter(|key| key.section == name) {
+            if let Some(entry) = read_entry(&mut section, key) {
+                calibration.set(key, entry);
+            }
+        }
+        if name == "imu" {
+            calibration.imu_profile = read_profile(&mut section);
+        }
+    }
+    for (name, mut section) in root.named("gains") {
+        let gains = Gains {
+            proportional: section.number("proportional_pa_per_rad", None, 0.0..=1e9),
+            integral: section.number("integral_pa_per_rad_s", 0.0, 0.0..=1e12),
+            derivative: section.number("derivative_pa_s_per_rad", 0.0, 0.0..=1e9),
+            derivative_filter: section.number("derivative_filter_hz", 0.0, 0.0..=1e4),
+        };
+        calibration.set_gains(name, gains);
+    }
+    calibration
+}
+
+fn read_entry(section: &mut Section<'_>, key: &Key) -> Option<Entry> {
+    if !section.has(key.name) {
+        if key.required {
+            section.require(key.name, key.meaning);
+        } else {
+            section.expect(key.name);
+        }
+        return None;
+    }
+    let mut table = section.section(key.name);
+    if !table.is_present() {
+        return None;
+    }
+    let any = || f64::NEG_INFINITY..=f64::INFINITY;
+    let range: RangeInclusive<f64> = key.range.0..=key.range.1;
+    let entry = Entry {
+        value: table.number("value", None, range),
+        standard_uncertainty: table.optional_number("standard_uncertainty", 0.0..=f64::INFINITY),
+        method: table.text("method", "given by the paper"),
+        residual: table.optional_number("residual", 0.0..=f64::INFINITY),
+        date: table.optional_text("date"),
+        run: table.optional_text("run"),
+        prediction: table.optional_number("prediction", any()),
+    };
+    if key.name == keys::WINDING_ANGLE.name && entry.value.abs() < 1.0 {
+        // Without an angle the kinematics have no answer.
+        table.reject("value", "must be at least 1 deg away from the axis", "write the angle with its sign");
+    }
+    if let Some(date) = &entry.date
+        && date.parse::<jiff::civil::Date>().is_err()
+    {
+        table.reject("date", "must be a date", "write it as \"2026-01-31\"");
+    }
+    Some(entry)
+}
+
+fn read_profile(section: &mut Section<'_>) -> Option<[u8; 22]> {
+    let text = section.optional_text("profile")?;
+    let bytes = unhex(&text);
+    if bytes.is_none() {
+        section.reject(
+            "profile",
+            "must be 44 hexadecimal digits",
+            "save the sensor's profile again, or remove the key",
+        );
+    }
+    bytes
+}
+
+fn inline(entry: &Entry) -> String {
+    let mut text = format!("{{ value = {:?}", entry.value);
+    let number = |text: &mut String, name: &str, value: Option<f64>| {
+        if let Some(value) = value {
+            // Writing to a String cannot fail.
+            let _ = write!(text, ", {name} = {value:?}");
+        }
+    };
+    let word = |text: &mut String, name: &str, value: Option<&String>| {
+        if let Some(value) = value {
+            let _ = write!(text, ", {name} = {}", quoted(value));
+        }
+    };
+    number(&mut text, "standard_uncertainty", entry.standard_uncertainty);
+    word(&mut text, "method", Some(&entry.method));
+    number(&mut text, "residual", entry.residual);
+    word(&mut text, "date", entry.date.as_ref());
+    word(&mut text, "run", entry.run.as_ref());
+    number(&mut text, "prediction", entry.prediction);
+    text.push_str(" }");
+    text
+}
+
+/// `text` as a TOML string.
+fn quoted(text: &str) -> String {
+    toml::Value::String(text.to_owned()).to_string()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn unhex(text: &str) -> Option<[u8; 22]> {
+    let digits: Option<Vec<u8>> = text.chars().map(|c| c.to_digit(16).and_then(|d| u8::try_from(d).ok())).collect();
+    let bytes: Vec<u8> =
+        digits.filter(|digits| digits.len() == 44)?.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect();
+    bytes.try_into().ok()
+}

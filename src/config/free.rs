@@ -1,0 +1,327 @@
+//! One `[[free]]` of rig.toml: its wiring, its limits, and what its simulated twin is like.
+
+use std::time::Duration;
+
+use super::calibration::{Calibration, keys};
+use super::gains;
+use super::load::Library;
+use super::reader::Section;
+use super::sections::{RawI2c, RawSerial, duration};
+use crate::control::{Gains, Limits};
+use crate::units::PASCAL_PER_PSI;
+
+/// One `[[free]]`.
+#[derive(Debug)]
+pub(super) struct RawFree {
+    pub(super) name: String,
+    /// A stand-in where there is no such calibration, or a wrong one: the problem has been noted.
+    pub(super) calibration: Calibration,
+    pub(super) gains: Gains,
+    pub(super) imu: Option<RawImu>,
+    pub(super) regulator: RawRegulator,
+    pub(super) limits: Limits,
+    pub(super) twin: RawTwin,
+}
+
+/// `[free.imu]`.
+#[derive(Debug)]
+pub(super) struct RawImu {
+    pub(super) bus: String,
+    pub(super) address: u8,
+    pub(super) axis: [f64; 3],
+    pub(super) period: Duration,
+}
+
+/// `[free.regulator]`.
+#[derive(Debug)]
+pub(super) struct RawRegulator {
+    pub(super) full_scale: f64,
+    pub(super) connection: Connection,
+}
+
+/// How a regulator is reached.
+#[derive(Debug)]
+pub(super) enum Connection {
+    /// Not told, or wrongly: the problem has been noted.
+    Unknown,
+    /// An Alicat unit on a serial line.
+    Alicat { line: String, id: u8, pascals_per_unit: f64 },
+    /// An analogue regulator behind a channel of an MCP4728.
+    Dac { bus: String, address: u8, channel: usize },
+}
+
+/// `[free.sim]`: the simulated twin.
+#[derive(Debug)]
+pub(super) struct RawTwin {
+    pub(super) scatter: f64,
+    pub(super) hysteresis: f64,
+    pub(super) load_moment: f64,
+    pub(super) lag: Duration,
+    pub(super) dead_time: Duration,
+    pub(super) slew: f64,
+    pub(super) noise: f64,
+}
+
+/// Highest pressure that makes sense in a FREE, psi.
+const PRESSURE_CEILING: f64 = 150.0;
+/// Widest angle that makes sense: two turns and a half, deg.
+const ANGLE_CEILING: f64 = 900.0;
+
+/// Reads one FREE; the `earlier` ones may not share its name or its devices.
+pub(super) fn read_free(
+    mut section: Section<'_>,
+    i2c: &[RawI2c],
+    serial: &[RawSerial],
+    earlier: &[RawFree],
+    library: &mut Library<'_>,
+) -> RawFree {
+    let name = section.text("name", "paper");
+    if !name.is_empty() {
+        section.rename(format!("free.{name}"));
+    }
+    check_name(&section, &name, earlier);
+    let calibration = read_calibration(&mut section, &name, library);
+    let gains = read_gains(&mut section, calibration.as_ref());
+    let imu = section.has("imu").then(|| read_imu(section.section("imu"), i2c, earlier));
+    let regulator = read_regulator(section.section("regulator"), i2c, serial, earlier);
+    if let (Connection::Dac { .. }, Some(calibration)) = (&regulator.connection, &calibration)
+        && calibration.value(&keys::ZERO_CODE).zip(calibration.value(&keys::PRESSURE_PER_CODE)).is_none()
+    {
+        section.reject(
+            "regulator",
+            format!("the calibration `{}` has no [regulator] zero_code and span_pa_per_code", calibration.name),
+            "measure the analogue regulator's zero and span, and write them into its calibration: \
+             without them the pressure behind a code is not known",
+        );
+    }
+    let limits = read_limits(section.section("limits"), &regulator);
+    let twin = read_twin(section.section("sim"));
+    let calibration = calibration.unwrap_or_default();
+    RawFree { name, calibration, gains, imu, regulator, limits, twin }
+}
+
+fn read_calibration(section: &mut Section<'_>, name: &str, library: &mut Library<'_>) -> Option<Calibration> {
+    let key = "calibration";
+    let wanted = section.optional_text(key).unwrap_or_else(|| name.to_owned());
+    if wanted.is_empty() {
+        return None;
+    }
+    match library.calibration(&wanted) {
+        Ok(calibration) => Some(calibration),
+        Err(missing) => {
+            let remedy = match missing.known.as_slice() {
+                [] => "write the file, or correct `calibration_directory`".into(),
+                known => format!("write one of {}, or correct `calibration_directory`", known.join(", ")),
+            };
+            section.reject(key, format!("cannot read {}: {}", missing.path.display(), missing.reason), remedy);
+            None
+        }
+    }
+}
+
+fn read_gains(section: &mut Section<'_>, calibration: Option<&Calibration>) -> Gains {
+    let name = section.optional_text("gains").unwrap_or_else(|| gains::DEFAULT.into());
+    // Without its calibration nothing can be said about the gains it may hold.
+    let Some(calibration) = calibration else { return Gains::default() };
+    calibration.gains(&name).unwrap_or_else(|| {
+        let known = calibration.gain_names().collect::<Vec<_>>().join(", ");
+        section.reject("gains", format!("there are no gains `{name}`"), format!("write one of: {known}"));
+        Gains::default()
+    })
+}
+
+fn check_name(section: &Section<'_>, name: &str, earlier: &[RawFree]) {
+    let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
+    if !name.is_empty() && (name.len() > 32 || !name.chars().all(plain)) {
+        section.reject(
+            "name",
+            "must be at most 32 lower-case letters, digits, `-` and `_`",
+            "write a name like \"left-1\": it becomes a file name and a command line argument",
+        );
+    }
+    if !name.is_empty() && earlier.iter().any(|free| free.name == name) {
+        section.reject("name", "another FREE has this name", "give every FREE a name of its own");
+    }
+}
+
+fn read_imu(mut section: Section<'_>, i2c: &[RawI2c], earlier: &[RawFree]) -> RawImu {
+    let bus = read_bus(&mut section, "bus", i2c.iter().map(|bus| bus.name.as_str()), "i2c");
+    let address = section.integer("address", 0x28, 0x28..=0x29) as u8;
+    let taken = earlier
+        .iter()
+        .find(|free| free.imu.as_ref().is_some_and(|imu| !bus.is_empty() && imu.bus == bus && imu.address == address));
+    if let Some(other) = taken {
+        let rule = format!("FREE `{}` has the IMU at {address:#04x} of `{bus}` already", other.name);
+        section.reject("address", rule, "wire the second IMU's ADR pin high (0x29) or put it on another bus");
+    }
+    let axis = match section.numbers("axis", -1.0..=1.0).as_deref() {
+        None => [0.0, 0.0, 1.0],
+        Some(&[x, y, z]) if (x * x + y * y + z * z - 1.0).abs() < 1e-3 => unit([x, y, z]),
+        Some(_) => {
+            section.reject("axis", "must be a unit vector of three numbers", "write for example `axis = [0, 0, 1]`");
+            [0.0, 0.0, 1.0]
+        }
+    };
+    RawImu { bus, address, axis, period: duration(section.number("period_ms", 10.0, 5.0..=100.0)) }
+}
+
+/// A written unit vector has a few digits only; its length is made exact.
+fn unit([x, y, z]: [f64; 3]) -> [f64; 3] {
+    let norm = (x * x + y * y + z * z).sqrt();
+    [x / norm, y / norm, z / norm]
+}
+
+fn read_regulator(mut section: Section<'_>, i2c: &[RawI2c], serial: &[RawSerial], earlier: &[RawFree]) -> RawRegulator {
+    let alicat = Some(true);
+    let dac = Some(false);
+    let kind = section.choice("kind", None, &[("alicat", alicat), ("mcp4728", dac)]).flatten();
+    let full_scale = section.number("full_scale_psi", None, 0.5..=PRESSURE_CEILING);
+    let connection = match kind {
+        Some(true) => read_alicat(&mut section, serial, earlier),
+        Some(false) => read_dac(&mut section, i2c, earlier),
+        None => {
+            // What else stands in the table belongs to one of the kinds; without one, nothing can be said of it.
+            section.accept_rest();
+            Connection::Unknown
+        }
+    };
+    RawRegulator { full_scale, connection }
+}
+
+fn read_alicat(section: &mut Section<'_>, serial: &[RawSerial], earlier: &[RawFree]) -> Connection {
+    let line = read_bus(section, "line", serial.iter().map(|line| line.name.as_str()), "serial");
+    let text = section.optional_text("unit").unwrap_or_else(|| "A".into());
+    let id = match text.as_bytes() {
+        &[id @ b'A'..=b'Z'] => id,
+        _ => {
+            section.reject("unit", "must be one letter from A to Z", "write the id that the unit's front panel shows");
+            b'A'
+        }
+    };
+    let taken = earlier.iter().find(|free| match &free.regulator.connection {
+        Connection::Alicat { line: other, id: other_id, .. } => !line.is_empty() && *other == line && *other_id == id,
+        _ => false,
+    });
+    if let Some(other) = taken {
+        let rule = format!("FREE `{}` has unit {} of line `{line}` already", other.name, char::from(id));
+        section.reject("unit", rule, "give the second unit another id on its front panel, and write it here");
+    }
+    let units = [("psi", PASCAL_PER_PSI), ("kPa", 1e3), ("bar", 1e5), ("mbar", 100.0), ("Pa", 1.0)];
+    let pascals_per_unit = section.choice("displays", Some(PASCAL_PER_PSI), &units).unwrap_or(PASCAL_PER_PSI);
+    Connection::Alicat { line, id, pascals_per_unit }
+}
+
+fn read_dac(section: &mut Section<'_>, i2c: &[RawI2c], earlier: &[RawFree]) -> Connection {
+    let bus = read_bus(section, "bus", i2c.iter().map(|bus| bus.name.as_str()), "i2c");
+    let address = section.integer("address", 0x60, 0x60..=0x67) as u8;
+    let channels = [("A", 0), ("B", 1), ("C", 2), ("D", 3)];
+    let channel = section.choice("channel", None, &channels).unwrap_or(0);
+    let taken = earlier.iter().find(|free| match &free.regulator.connection {
+        Connection::Dac { bus: b, address: a, channel: c } => *b == bus && *a == address && *c == channel,
+        _ => false,
+    });
+    if let Some(other) = taken {
+        let letter = channels[channel].0;
+        let rule =
+            format!("FREE `{}` has channel {letter} of the DAC at {address:#04x} of `{bus}` already", other.name);
+        section.reject("channel", rule, "wire the regulator to a channel of its own, and write it here");
+    }
+    Connection::Dac { bus, address, channel }
+}
+
+/// The name of a bus, which must be one of `known`.
+fn read_bus<'n>(
+    section: &mut Section<'_>,
+    key: &'static str,
+    known: impl Iterator<Item = &'n str>,
+    table: &str,
+) -> String {
+    let known: Vec<&str> = known.collect();
+    let name = section.text(key, known.first().copied().unwrap_or("main"));
+    if !name.is_empty() && !known.contains(&name.as_str()) {
+        let remedy = if known.is_empty() {
+            format!("add `[{table}.{name}]` with its device")
+        } else {
+            format!("add `[{table}.{name}]` with its device, or write one of: {}", known.join(", "))
+        };
+        section.reject(key, format!("there is no `[{table}.{name}]`"), remedy);
+    }
+    name
+}
+
+fn read_limits(mut section: Section<'_>, regulator: &RawRegulator) -> Limits {
+    let psi = 0.1..=PRESSURE_CEILING;
+    let max = section.number("max_pressure_psi", None, psi.clone());
+    let warn = section.optional_number("warn_pressure_psi", psi.clone()).unwrap_or(max + 0.5 * PASCAL_PER_PSI);
+    let hard = section.optional_number("hard_pressure_psi", psi.clone()).unwrap_or(max + PASCAL_PER_PSI);
+    let proof = section.number("proof_pressure_psi", None, psi);
+    let order = "max_pressure_psi < warn_pressure_psi < hard_pressure_psi < proof_pressure_psi";
+    // A comparison with a stand-in (NaN) is false: what has been noted is not noted again.
+    if warn <= max {
+        section.reject("warn_pressure_psi", format!("must be in the order {order}"), higher(max, 0.5));
+    }
+    if hard <= warn {
+        section.reject("hard_pressure_psi", format!("must be in the order {order}"), higher(warn, 0.5));
+    }
+    if proof <= hard {
+        section.reject(
+            "proof_pressure_psi",
+            format!("must be in the order {order}; hard_pressure_psi is {}", psi_text(hard)),
+            "lower the other limits: the proof pressure is what the FREE has been tested to",
+        );
+    }
+    if regulator.full_scale < hard {
+        let rule = format!(
+            "must be within the regulator's full scale of {}: its sensor could not see it",
+            psi_text(regulator.full_scale)
+        );
+        let key = if section.has("hard_pressure_psi") { "hard_pressure_psi" } else { "max_pressure_psi" };
+        section.reject(key, rule, "lower it, or use a regulator of a wider range");
+    }
+    let zero = section.number("zero_pressure_psi", 0.2, 0.01..=2.0);
+    if max <= zero {
+        section.reject("zero_pressure_psi", "must be below max_pressure_psi", "write a lower value, for example 0.2");
+    }
+    let degrees = -ANGLE_CEILING..=ANGLE_CEILING;
+    let soft = section.span("soft_angle_deg", (-120.0, 120.0), degrees.clone());
+    let hard_angle = section.span("hard_angle_deg", (-150.0, 150.0), degrees);
+    if soft.0 <= hard_angle.0 || soft.1 >= hard_angle.1 {
+        section.reject(
+            "soft_angle_deg",
+            "must lie inside hard_angle_deg",
+            "narrow it: outside the soft envelope the pressure is ramped down, outside the hard one vented",
+        );
+    }
+    let error = section.optional_number("tracking_error_deg", 0.1..=ANGLE_CEILING).unwrap_or(f64::INFINITY);
+    let patience = section.number("tracking_error_s", 1.5, 0.0..=60.0);
+    Limits {
+        pressure_max: max,
+        pressure_warn: warn,
+        pressure_hard: hard,
+        pressure_zero: zero,
+        slew: section.number("slew_psi_per_s", 30.0, 0.1..=1000.0),
+        angle_soft: soft,
+        angle_hard: hard_angle,
+        tracking_error: (error, patience),
+    }
+}
+
+fn psi_text(pascals: f64) -> String {
+    format!("{:.2} psi", pascals / PASCAL_PER_PSI)
+}
+
+fn higher(pascals: f64, margin: f64) -> String {
+    format!("write a value above {:.2}, for example {:.2}", pascals / PASCAL_PER_PSI, pascals / PASCAL_PER_PSI + margin)
+}
+
+fn read_twin(mut section: Section<'_>) -> RawTwin {
+    RawTwin {
+        scatter: section.number("scatter_percent", 3.0, 0.0..=20.0),
+        hysteresis: section.number("hysteresis_percent", 5.0, 0.0..=50.0),
+        load_moment: section.number("load_moment_mnm", 0.0, -1000.0..=1000.0),
+        lag: duration(section.number("regulator_lag_ms", 60.0, 0.0..=2000.0)),
+        dead_time: duration(section.number("regulator_dead_time_ms", 15.0, 0.0..=500.0)),
+        slew: section.number("regulator_slew_psi_per_s", 30.0, 0.1..=1000.0),
+        noise: section.number("pressure_noise_psi", 0.01, 0.0..=5.0),
+    }
+}
