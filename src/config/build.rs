@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::calibration::{Calibration, keys};
 use super::free::{Connection, RawFree};
 use super::load::SourceFile;
-use super::rig::Rig;
+use super::rig::{Backend, Rig};
 use super::sections::{RawRig, duration};
 use crate::control::{ControlConfig, FreeControl, ImuChannel, RegulatorChannel};
 use crate::hardware::wiring::{DacChannel, DacWiring, I2cWiring, ImuWiring, SerialWiring, UnitWiring, Wiring};
@@ -48,6 +48,7 @@ fn control(raw: &RawRig) -> ControlConfig {
         vent_time: raw.safety.vent_time,
         ramp_time: raw.safety.ramp_time,
         require_realtime: raw.realtime.require_realtime,
+        dump_valve: raw.backend == Backend::Sim && raw.sim.dump_valve,
         frees: raw.frees.iter().map(|free| free_control(raw, free)).collect(),
     }
 }
@@ -58,6 +59,8 @@ fn free_control(raw: &RawRig, free: &RawFree) -> FreeControl {
         name: free.name.clone(),
         free: known.free(),
         gains: free.gains,
+        derivative_on: free.derivative_on,
+        feedforward: free.feedforward,
         limits: free.limits,
         imu: free.imu.as_ref().map(|imu| ImuChannel {
             axis: imu.axis,

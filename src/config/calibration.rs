@@ -31,6 +31,7 @@ use super::key;
 use super::problem::{ConfigError, Problem};
 use super::reader::{Section, Source};
 use crate::control::Gains;
+use crate::hardware::wiring::ImuProfile;
 use crate::model::Free;
 
 /// Version of the schema.
@@ -124,8 +125,8 @@ pub struct Calibration {
     pub name: String,
     /// Where the FREE and its values come from, in words.
     pub note: String,
-    /// BNO055 calibration profile (registers 0x55..=0x6A).
-    pub imu_profile: Option<[u8; 22]>,
+    /// Calibration profile of the FREE's BNO055.
+    pub imu_profile: Option<ImuProfile>,
     entries: BTreeMap<&'static str, Entry>,
     gains: BTreeMap<String, Gains>,
 }
@@ -235,7 +236,8 @@ impl Calibration {
                 section = key.section;
                 line(format!("\n[{section}]"));
                 if let Some(profile) = profile {
-                    line(format!("profile = \"{}\"", hex(&profile)));
+                    line(format!("sensor_id = \"{}\"", hex(&profile.unique_id)));
+                    line(format!("profile = \"{}\"", hex(&profile.registers)));
                 }
             }
             if let Some(entry) = entry {
@@ -323,15 +325,30 @@ fn read_entry(section: &mut Section<'_>, key: &Key) -> Option<Entry> {
     Some(entry)
 }
 
-fn read_profile(section: &mut Section<'_>) -> Option<[u8; 22]> {
-    let text = section.optional_text("profile")?;
+fn read_profile(section: &mut Section<'_>) -> Option<ImuProfile> {
+    let registers = read_bytes(section, "profile");
+    let unique_id = read_bytes(section, "sensor_id");
+    match (registers, unique_id) {
+        (Some(registers), Some(unique_id)) => Some(ImuProfile { unique_id, registers }),
+        (None, None) => None,
+        (registers, _) => {
+            let (here, missing) = if registers.is_some() { ("profile", "sensor_id") } else { ("sensor_id", "profile") };
+            if !section.has(missing) {
+                let rule = format!("needs `{missing}` beside it: a profile fits one sensor only");
+                section.reject(here, rule, "save the sensor's profile again, or remove both keys");
+            }
+            None
+        }
+    }
+}
+
+/// `N` bytes in hexadecimal.
+fn read_bytes<const N: usize>(section: &mut Section<'_>, key: &'static str) -> Option<[u8; N]> {
+    let text = section.optional_text(key)?;
     let bytes = unhex(&text);
     if bytes.is_none() {
-        section.reject(
-            "profile",
-            "must be 44 hexadecimal digits",
-            "save the sensor's profile again, or remove the key",
-        );
+        let rule = format!("must be {} hexadecimal digits", 2 * N);
+        section.reject(key, rule, "save the sensor's profile again, or remove it");
     }
     bytes
 }
@@ -368,9 +385,9 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-fn unhex(text: &str) -> Option<[u8; 22]> {
+fn unhex<const N: usize>(text: &str) -> Option<[u8; N]> {
     let digits: Option<Vec<u8>> = text.chars().map(|c| c.to_digit(16).and_then(|d| u8::try_from(d).ok())).collect();
-    let bytes: Vec<u8> =
-        digits.filter(|digits| digits.len() == 44)?.chunks(2).map(|pair| pair[0] << 4 | pair[1]).collect();
+    let digits = digits.filter(|digits| digits.len() == 2 * N)?;
+    let bytes: Vec<u8> = digits.chunks_exact(2).map(|pair| pair[0] << 4 | pair[1]).collect();
     bytes.try_into().ok()
 }

@@ -7,7 +7,7 @@ use super::gains;
 use super::load::Library;
 use super::reader::Section;
 use super::sections::{RawI2c, RawSerial, duration};
-use crate::control::{Gains, Limits};
+use crate::control::{DerivativeOn, Gains, Limits};
 use crate::units::PASCAL_PER_PSI;
 
 /// One `[[free]]`.
@@ -17,6 +17,9 @@ pub(super) struct RawFree {
     /// A stand-in where there is no such calibration, or a wrong one: the problem has been noted.
     pub(super) calibration: Calibration,
     pub(super) gains: Gains,
+    pub(super) derivative_on: DerivativeOn,
+    /// 0 none, 1 all of it.
+    pub(super) feedforward: f64,
     pub(super) imu: Option<RawImu>,
     pub(super) regulator: RawRegulator,
     pub(super) limits: Limits,
@@ -82,6 +85,9 @@ pub(super) fn read_free(
     check_name(&section, &name, earlier);
     let calibration = read_calibration(&mut section, &name, library);
     let gains = read_gains(&mut section, calibration.as_ref());
+    let looks_at = [("measurement", DerivativeOn::Measurement), ("error", DerivativeOn::Error)];
+    let derivative_on = section.choice("derivative_on", Some(DerivativeOn::default()), &looks_at).unwrap_or_default();
+    let feedforward = section.number("feedforward_percent", 0.0, 0.0..=100.0);
     let imu = section.has("imu").then(|| read_imu(section.section("imu"), i2c, earlier));
     let regulator = read_regulator(section.section("regulator"), i2c, serial, earlier);
     if let (Connection::Dac { .. }, Some(calibration)) = (&regulator.connection, &calibration)
@@ -97,7 +103,7 @@ pub(super) fn read_free(
     let limits = read_limits(section.section("limits"), &regulator);
     let twin = read_twin(section.section("sim"));
     let calibration = calibration.unwrap_or_default();
-    RawFree { name, calibration, gains, imu, regulator, limits, twin }
+    RawFree { name, calibration, gains, derivative_on, feedforward, imu, regulator, limits, twin }
 }
 
 fn read_calibration(section: &mut Section<'_>, name: &str, library: &mut Library<'_>) -> Option<Calibration> {
