@@ -1,6 +1,19 @@
 //! Controller, estimator, interlocks and life cycle: pure functions of (state, input). No clock, no I/O, no
 //! allocation after construction, no async. The same code runs live, on the stepped clock and in replay.
 
+pub mod controller;
+pub mod estimator;
+pub mod fault;
+pub mod feedforward;
+pub mod interlocks;
+pub mod lifecycle;
+pub mod pid;
+pub mod refusal;
+pub mod replay;
+
+pub use controller::{ControlError, Controller};
+pub use fault::{FirstErrors, MATRIX, Reaction};
+
 use std::sync::Arc;
 use std::time::Duration;
 

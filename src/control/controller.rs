@@ -1,0 +1,571 @@
+//! The controller of a rig: one tick in, one record out.
+//!
+//! In every tick: readings -> estimates -> interlocks -> life cycle -> references -> commands -> record. Whatever
+//! comes in, every command is a number within 0..=p_max, and within the slew limit of the one before unless the
+//! rig vents.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use thiserror::Error;
+
+use super::estimator::{Estimator, Reading};
+use super::fault::Reaction;
+use super::feedforward::Feedforward;
+use super::interlocks::{FreeInterlocks, HEARTBEAT_MAX, LateTicks, STALL_MAX, Seen, Vented, Verdict};
+use super::lifecycle::{Faulting, Mode, Phase, Sight};
+use super::pid::{Band, Pid};
+use super::{ControlConfig, FreeControl, Gains, Limits, Request, TickInput};
+use crate::clock::Time;
+use crate::signal::{
+    Command, Estimate, FaultCode, FreeTick, LimitSet, MAX_FREES, Quantity, Reference, Refusal, RefusalCode,
+    RequestKind, State, TickRecord,
+};
+use crate::trajectory::Program;
+
+/// Longest time that one tick integrates over, in periods: after a longer stall the command moves on from where it
+/// stood.
+const LONGEST_STEP: f64 = 10.0;
+
+/// A configuration that no controller can be built from.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum ControlError {
+    /// No FREE or too many.
+    #[error("a rig has 1 to {MAX_FREES} FREEs, not {0}")]
+    FreeCount(usize),
+    /// Period, vent time or ramp time is zero.
+    #[error("{0} must be longer than zero")]
+    Duration(&'static str),
+    /// A value of a FREE is out of its range.
+    #[error("FREE {free}: {what} is {value}, but must be {rule}")]
+    Value {
+        /// Its name.
+        free: String,
+        /// Which value, in the words of the configuration.
+        what: &'static str,
+        /// What it is, SI.
+        value: f64,
+        /// What it must be.
+        rule: &'static str,
+    },
+}
+
+/// One FREE: its part of the controller.
+#[derive(Clone, Debug)]
+struct Channel {
+    limits: Limits,
+    pid: Pid,
+    feedforward: Feedforward,
+    estimator: Option<Estimator>,
+    interlocks: FreeInterlocks,
+    command: f64,
+}
+
+/// What became of one FREE in this tick, before the command.
+#[derive(Clone, Copy, Default)]
+struct Judged {
+    estimate: Estimate,
+    verdict: Verdict,
+}
+
+/// Controller, estimators, interlocks and life cycle of a rig.
+#[derive(Clone, Debug)]
+pub struct Controller {
+    period: Duration,
+    vent_time: Duration,
+    ramp_time: Duration,
+    require_realtime: bool,
+    dump_valve: bool,
+    channels: Vec<Channel>,
+    phase: Phase,
+    late: LateTicks,
+    last: Option<Time>,
+    retired: Option<Arc<Program>>,
+}
+
+impl Controller {
+    /// A controller in Boot: commands zero.
+    pub fn new(config: &ControlConfig) -> Result<Self, ControlError> {
+        let count = config.frees.len();
+        if count == 0 || count > MAX_FREES {
+            return Err(ControlError::FreeCount(count));
+        }
+        for (what, duration) in
+            [("period", config.period), ("vent_time", config.vent_time), ("ramp_time", config.ramp_time)]
+        {
+            if duration.is_zero() {
+                return Err(ControlError::Duration(what));
+            }
+        }
+        let tick = config.period.as_secs_f64();
+        let channels = config
+            .frees
+            .iter()
+            .map(|free| {
+                check(free, config.ramp_time.as_secs_f64())?;
+                Ok(Channel {
+                    limits: free.limits,
+                    pid: Pid::new(free.gains, free.derivative_on, free.free.direction()),
+                    feedforward: Feedforward::new(free.free, &free.regulator, free.feedforward),
+                    estimator: free.imu.map(|imu| Estimator::new(&imu, tick)),
+                    interlocks: FreeInterlocks::new(free),
+                    command: 0.0,
+                })
+            })
+            .collect::<Result<_, _>>()?;
+        Ok(Self {
+            period: config.period,
+            vent_time: config.vent_time,
+            ramp_time: config.ramp_time,
+            require_realtime: config.require_realtime,
+            dump_valve: config.dump_valve,
+            channels,
+            phase: Phase::Boot,
+            late: LateTicks::default(),
+            last: None,
+            retired: None,
+        })
+    }
+
+    /// Where the life cycle stands.
+    pub fn state(&self) -> State {
+        self.phase.state()
+    }
+
+    /// The gains in force of a FREE.
+    pub fn gains(&self, free: usize) -> Option<Gains> {
+        self.channels.get(free).map(|c| c.pid.gains())
+    }
+
+    /// A program that is over, to be dropped by a thread that may: until it is taken no other one starts.
+    pub fn take_retired(&mut self) -> Option<Arc<Program>> {
+        self.retired.take()
+    }
+
+    /// What a record tells the bus owners.
+    pub fn command(record: &TickRecord) -> Command {
+        let mut pressure = [0.0; MAX_FREES];
+        for (out, free) in pressure.iter_mut().zip(record.frees()) {
+            *out = free.command;
+        }
+        Command { time: record.time, pressure, vent: record.vent }
+    }
+
+    /// Goes on after a recorded tick in which no program ran: Boot, Disarmed, or Armed(Hold). Debounces start anew.
+    /// Returns false, and does nothing, for a record of any other state.
+    pub fn resume(&mut self, record: &TickRecord) -> bool {
+        self.phase = match record.state {
+            State::Boot => Phase::Boot,
+            State::Disarmed => Phase::Disarmed,
+            State::Hold => Phase::Armed(Mode::Hold),
+            _ => return false,
+        };
+        self.last = Some(record.time);
+        self.late = LateTicks::after(record.skipped);
+        for (channel, recorded) in self.channels.iter_mut().zip(record.frees()) {
+            channel.command = recorded.command;
+            channel.pid.resume(recorded.terms);
+            channel.interlocks.resume(recorded, record.time);
+            if let Some(estimator) = &mut channel.estimator {
+                estimator.resume(recorded.estimate, record.time);
+            }
+        }
+        true
+    }
+
+    /// One tick. Allocates nothing, and drops nothing that would have to be freed: a program that is over comes out
+    /// of [`Controller::take_retired`], and a refused one stays with the caller, in `input`.
+    pub fn tick(&mut self, input: &TickInput) -> TickRecord {
+        let now = input.time;
+        let period = self.period.as_secs_f64();
+        let gap = self.last.map_or(period, |last| now.seconds_since(last));
+        let dt = gap.clamp(0.0, LONGEST_STEP * period);
+        let stall = if gap > 1.5 * period { (gap - period).min(STALL_MAX) } else { 0.0 };
+        self.last = Some(now);
+
+        let rig = self.judge_rig(input);
+        let judged = self.judge(input, dt, stall);
+        let verdict = judged.iter().fold(rig, |all, free| all.merge(free.verdict));
+        let commands = self.commands();
+        let waiting_for = self.waiting_for(input);
+        let sight = Sight {
+            now,
+            vent_time: self.vent_time,
+            ramp_time: self.ramp_time,
+            dump_valve: self.dump_valve,
+            request: input.request.as_ref(),
+            estop: input.estop,
+            verdict,
+            complete: self.channels.iter().all(|c| c.interlocks.complete()),
+            vented: self.vented(),
+            against_arming: self.against_arming(input),
+            waiting_for,
+            against_program: self.against_program(input),
+            commands: &commands,
+        };
+        let before = self.phase.state();
+        let tares = self.tares();
+        let step = std::mem::replace(&mut self.phase, Phase::Boot).advance(&sight);
+        self.phase = step.phase;
+        if step.retired.is_some() {
+            self.retired = step.retired;
+        }
+        if before == State::Arming && self.phase.state() == State::Hold {
+            for (channel, tare) in self.channels.iter_mut().zip(tares) {
+                if let (Some(estimator), Some(tare)) = (&mut channel.estimator, tare) {
+                    estimator.tare(tare);
+                }
+            }
+        }
+        let mut refusal = step.refusal;
+        if let Some(Request::Gains { free, gains }) = &input.request
+            && refusal == Refusal::NONE
+        {
+            refusal = self.set_gains(*free, *gains, &judged, now);
+        }
+        let entered = before == State::Hold && self.phase.run().is_some();
+        let mut record = self.drive(input, entered, &judged, dt);
+        record.faults = rig.faults;
+        record.refusal = refusal;
+        record
+    }
+
+    /// Estimates and interlocks.
+    fn judge(&mut self, input: &TickInput, dt: f64, stall: f64) -> [Judged; MAX_FREES] {
+        let now = input.time;
+        let state = self.phase.state();
+        let armed = state.is_armed();
+        let tared = !matches!(state, State::Boot | State::Disarmed | State::Arming);
+        let mut judged = [Judged::default(); MAX_FREES];
+        for (index, channel) in self.channels.iter_mut().enumerate() {
+            let reading = match &mut channel.estimator {
+                Some(estimator) => estimator.step(&input.imu[index], now, dt),
+                None => Reading::None,
+            };
+            let estimate = channel.estimator.as_ref().map(Estimator::estimate).unwrap_or_default();
+            let reference = self.phase.run().map(|run| run.program.reference(index, run.time(now)));
+            let verdict = channel.interlocks.step(&Seen {
+                now,
+                dt,
+                stall,
+                imu: &input.imu[index],
+                reading,
+                estimate: &estimate,
+                pressure: &input.pressure[index],
+                command: channel.command,
+                reference: &reference.unwrap_or_default(),
+                armed,
+                tared,
+            });
+            judged[index] = Judged { estimate, verdict };
+        }
+        judged
+    }
+
+    /// The rig-wide rows of the matrix.
+    fn judge_rig(&mut self, input: &TickInput) -> Verdict {
+        let mut verdict = Verdict::default();
+        let period = u64::try_from(self.period.as_nanos()).unwrap_or(u64::MAX);
+        self.late.step(input.latency_ns, input.execution_ns, input.skipped, period);
+        if self.late.reaction() > Reaction::None {
+            verdict.add(FaultCode::Deadline, self.late.reaction());
+        }
+        if let Some(run) = self.phase.run()
+            && run.attended
+            && input.time.seconds_since(input.heartbeat.max(run.start)) >= HEARTBEAT_MAX
+        {
+            verdict.add(FaultCode::ClientLost, Reaction::Ramp);
+        }
+        if input.config_changed {
+            verdict.add(FaultCode::ConfigChanged, Reaction::Warn);
+        }
+        if self.require_realtime && !input.realtime {
+            verdict.add(FaultCode::RealtimeLost, Reaction::Warn);
+        }
+        if input.estop {
+            verdict.add(FaultCode::EmergencyStop, Reaction::Vent);
+        }
+        verdict
+    }
+
+    fn commands(&self) -> [f64; MAX_FREES] {
+        let mut commands = [0.0; MAX_FREES];
+        for (out, channel) in commands.iter_mut().zip(&self.channels) {
+            *out = channel.command;
+        }
+        commands
+    }
+
+    /// The least vented FREE.
+    fn vented(&self) -> Vented {
+        let any = |v: Vented| self.channels.iter().any(|c| c.interlocks.vented() == v);
+        if any(Vented::No) {
+            Vented::No
+        } else if any(Vented::Unknown) {
+            Vented::Unknown
+        } else {
+            Vented::Yes
+        }
+    }
+
+    fn against_arming(&self, input: &TickInput) -> Option<Refusal> {
+        if input.config_changed {
+            Some(refusal(RefusalCode::ConfigChanged, None))
+        } else if self.require_realtime && !input.realtime {
+            Some(refusal(RefusalCode::NotRealtime, None))
+        } else {
+            None
+        }
+    }
+
+    fn against_program(&self, input: &TickInput) -> Option<Refusal> {
+        let Some(Request::Start { program, .. }) = &input.request else { return None };
+        if self.retired.is_some() {
+            return Some(refusal(RefusalCode::Busy, None));
+        }
+        if input.config_changed {
+            return Some(refusal(RefusalCode::ConfigChanged, None));
+        }
+        if !(program.duration.is_finite() && program.duration > 0.0) {
+            return Some(refusal(RefusalCode::BadProgram, None));
+        }
+        for (index, axis) in program.axes.iter().enumerate() {
+            let Some(axis) = axis else { continue };
+            let fits = match (self.channels.get(index), axis.quantity) {
+                (Some(channel), Quantity::Angle) => channel.estimator.is_some(),
+                (Some(_), _) => true,
+                (None, _) => false,
+            };
+            if !fits {
+                return Some(refusal(RefusalCode::BadProgram, Some(index)));
+            }
+        }
+        None
+    }
+
+    /// What arming waits for still; on the way, takes up readings for the tare.
+    fn waiting_for(&mut self, input: &TickInput) -> Option<Refusal> {
+        let now = input.time;
+        let mut first = None;
+        for (index, channel) in self.channels.iter().enumerate() {
+            let interlocks = &channel.interlocks;
+            let calibrated = (input.imu[index].calibration >> 4) & 3 == 3;
+            let measured = channel.estimator.is_some();
+            let code = if !interlocks.pressure_fresh(now) {
+                RefusalCode::NoPressure
+            } else if interlocks.vented() != Vented::Yes {
+                RefusalCode::NotVented
+            } else if !interlocks.imu_fresh(now) {
+                RefusalCode::NoImu
+            } else if measured && !calibrated {
+                RefusalCode::NotCalibrated
+            } else if measured && let Phase::Arming(arming) = &mut self.phase {
+                arming.tare[index].add(&input.imu[index]);
+                if arming.tare[index].orientation().is_some() { RefusalCode::None } else { RefusalCode::NotStill }
+            } else {
+                RefusalCode::None
+            };
+            if code != RefusalCode::None {
+                first = first.or(Some(refusal(code, Some(index))));
+            }
+        }
+        first
+    }
+
+    /// The tares that arming has come to.
+    fn tares(&self) -> [Option<[f64; 4]>; MAX_FREES] {
+        match &self.phase {
+            Phase::Arming(arming) => arming.tare.map(|mean| mean.orientation()),
+            _ => [None; MAX_FREES],
+        }
+    }
+
+    /// Commands of this tick, and the record of it.
+    fn drive(&mut self, input: &TickInput, entered: bool, judged: &[Judged; MAX_FREES], dt: f64) -> TickRecord {
+        let now = input.time;
+        let mut record = TickRecord {
+            tick: input.tick,
+            time: now,
+            latency_ns: input.latency_ns,
+            execution_ns: input.execution_ns,
+            skipped: input.skipped,
+            state: self.phase.state(),
+            request: input.request.as_ref().map(Request::kind).unwrap_or_default(),
+            estop: input.estop,
+            realtime: input.realtime,
+            config_changed: input.config_changed,
+            heartbeat: input.heartbeat,
+            program_time: self.phase.run().map_or(f64::NAN, |run| run.time(now)),
+            latched: self.phase.latched(),
+            vent: self.phase.vent(),
+            free_count: self.channels.len() as u8,
+            ..TickRecord::default()
+        };
+        for (index, channel) in self.channels.iter_mut().enumerate() {
+            let estimate = judged[index].estimate;
+            let reference = self.phase.run().map(|run| run.program.reference(index, run.time(now))).unwrap_or_default();
+            if entered && let Some(run) = self.phase.run() {
+                channel.engage(&run.program.reference(index, -1.0), &estimate);
+            }
+            let wish = match &self.phase {
+                Phase::Armed(Mode::Hold) => Wish::Keep,
+                Phase::Faulting(Faulting::Hold) => Wish::Freeze,
+                Phase::Armed(Mode::Run(_)) => Wish::Follow(reference),
+                Phase::RampDown(ramp) | Phase::Faulting(Faulting::Ramp(ramp, _)) => {
+                    Wish::Pressure(ramp.from[index] * ramp.level(now, self.ramp_time))
+                }
+                _ => Wish::Zero,
+            };
+            let (wanted, limits) = channel.drive(wish, &estimate, dt);
+            record.frees[index] = FreeTick {
+                imu: input.imu[index],
+                pressure: input.pressure[index],
+                reference,
+                estimate,
+                terms: channel.pid.terms(),
+                wanted,
+                command: channel.command,
+                limits,
+                faults: judged[index].verdict.faults,
+            };
+        }
+        record
+    }
+
+    fn set_gains(&mut self, free: usize, gains: Gains, judged: &[Judged; MAX_FREES], now: Time) -> Refusal {
+        let reference = self.phase.run().map(|run| run.program.reference(free, run.time(now)));
+        match (self.channels.get_mut(free), gains.problem()) {
+            (Some(channel), None) => {
+                let estimate = judged[free].estimate;
+                match reference {
+                    Some(r) if r.quantity == Quantity::Angle => {
+                        channel.pid.set_gains(gains, &r, &estimate, channel.limits.pressure_max);
+                    }
+                    _ => channel.pid.replace_gains(gains),
+                }
+                Refusal::NONE
+            }
+            (Some(_), Some(_)) => refusal(RefusalCode::BadGains, Some(free)),
+            (None, _) => refusal(RefusalCode::BadGains, None),
+        }
+    }
+}
+
+/// What is wanted of a FREE in a tick.
+enum Wish {
+    /// Zero at once: a vent, or a state in which nothing else is ever commanded.
+    Zero,
+    /// The pressure stands.
+    Keep,
+    /// The pressure and the controller's terms stand.
+    Freeze,
+    /// On the way down, Pa.
+    Pressure(f64),
+    /// A program.
+    Follow(Reference),
+}
+
+impl Channel {
+    /// Engages the controller for a program whose reference before its start is `reference`.
+    fn engage(&mut self, reference: &Reference, estimate: &Estimate) {
+        self.pid.reset();
+        if reference.quantity == Quantity::Angle {
+            let feedforward = self.feedforward.pressure(reference);
+            self.pid.engage(reference, estimate, feedforward, self.command, self.limits.pressure_max);
+        }
+    }
+
+    /// Sets the command; returns what was wanted before the limits (Pa) and the limits in force.
+    fn drive(&mut self, wish: Wish, estimate: &Estimate, dt: f64) -> (f64, LimitSet) {
+        let band = Band::new(self.command, self.limits.pressure_max, self.limits.slew, dt);
+        let angle = matches!(wish, Wish::Follow(Reference { quantity: Quantity::Angle, .. }));
+        if !angle && !matches!(wish, Wish::Freeze) {
+            self.pid.reset();
+        }
+        let (wanted, command, limits) = match wish {
+            Wish::Zero => (0.0, 0.0, LimitSet::default()),
+            Wish::Keep => (self.command, self.command, LimitSet::default()),
+            Wish::Freeze => (self.command, self.command, LimitSet::INTEGRATOR_HELD),
+            Wish::Follow(reference) if angle && estimate.valid => {
+                let feedforward = self.feedforward.pressure(&reference);
+                self.pid.step(&reference, estimate, feedforward, &band, dt)
+            }
+            // The first reading after the tare is not here yet.
+            Wish::Follow(_) if angle => (self.command, self.command, LimitSet::INTEGRATOR_HELD),
+            Wish::Follow(Reference { position, .. }) | Wish::Pressure(position) => {
+                let (command, limits) = band.limit(position);
+                (position, command, limits)
+            }
+        };
+        self.command = command;
+        (wanted, limits)
+    }
+}
+
+impl Request {
+    /// Its stable number, for the record.
+    pub fn kind(&self) -> RequestKind {
+        match self {
+            Request::Arm => RequestKind::Arm,
+            Request::Disarm => RequestKind::Disarm,
+            Request::Clear => RequestKind::Clear,
+            Request::Start { .. } => RequestKind::Start,
+            Request::Stop => RequestKind::Stop,
+            Request::Gains { .. } => RequestKind::Gains,
+        }
+    }
+}
+
+impl Gains {
+    /// The first gain that is negative or not finite, by name.
+    pub fn problem(&self) -> Option<(&'static str, f64)> {
+        [
+            ("proportional gain", self.proportional),
+            ("integral gain", self.integral),
+            ("derivative gain", self.derivative),
+            ("derivative filter", self.derivative_filter),
+        ]
+        .into_iter()
+        .find(|(_, value)| !(value.is_finite() && *value >= 0.0))
+    }
+}
+
+fn refusal(code: RefusalCode, free: Option<usize>) -> Refusal {
+    Refusal { code, free: free.map_or(Refusal::RIG, |f| f as u8), fault: None }
+}
+
+fn check(free: &FreeControl, ramp_time: f64) -> Result<(), ControlError> {
+    let FreeControl { limits: l, regulator: r, .. } = free;
+    let mut rules = vec![
+        ("max_pressure", l.pressure_max, l.pressure_max > 0.0 && l.pressure_max.is_finite(), "positive"),
+        ("warn_pressure", l.pressure_warn, l.pressure_warn > l.pressure_max, "above max_pressure"),
+        ("hard_pressure", l.pressure_hard, l.pressure_hard > l.pressure_warn, "above warn_pressure"),
+        ("zero_pressure", l.pressure_zero, l.pressure_zero > 0.0, "positive"),
+        ("slew", l.slew, l.slew * ramp_time >= l.pressure_max, "fast enough to take max_pressure down in ramp_time"),
+        ("angle_soft", l.angle_soft.1, l.angle_soft.0 < l.angle_soft.1, "a range"),
+        (
+            "angle_hard",
+            l.angle_hard.1,
+            l.angle_hard.0 <= l.angle_soft.0 && l.angle_soft.1 <= l.angle_hard.1,
+            "a range that holds angle_soft",
+        ),
+        ("tracking_error", l.tracking_error.0, l.tracking_error.0 > 0.0, "positive"),
+        ("tracking_error time", l.tracking_error.1, l.tracking_error.1 >= 0.0, "zero or more"),
+        ("regulator period", r.period.as_secs_f64(), !r.period.is_zero(), "longer than zero"),
+        ("full_scale", r.full_scale, r.full_scale > 0.0 && r.full_scale.is_finite(), "positive"),
+        ("fastest_fill", r.fastest_fill, r.fastest_fill > 0.0, "positive"),
+        ("feedforward", free.feedforward, (0.0..=1.0).contains(&free.feedforward), "between 0 and 1"),
+    ];
+    if let Some((what, value)) = free.gains.problem() {
+        rules.push((what, value, false, "zero or more, and finite"));
+    }
+    if let Some(imu) = free.imu {
+        let norm = imu.axis.iter().map(|x| x * x).sum::<f64>().sqrt();
+        rules.push(("IMU axis", norm, (norm - 1.0).abs() < 1e-6, "a unit vector (its norm is given)"));
+        rules.push(("IMU period", imu.period.as_secs_f64(), !imu.period.is_zero(), "longer than zero"));
+    }
+    match rules.into_iter().find(|(_, _, good, _)| !good) {
+        Some((what, value, _, rule)) => Err(ControlError::Value { free: free.name.clone(), what, value, rule }),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,323 @@
+//! The fault matrix: what can go wrong, how long it must last, what the rig does about it, what a person should
+//! do; and the black box that keeps the first errors.
+
+use crate::clock::Time;
+use crate::signal::{FaultCode, MAX_FREES, State, TickRecord};
+
+/// What the rig does about a fault, from the mildest.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Reaction {
+    /// Nothing; it may refuse to arm.
+    #[default]
+    None,
+    /// Say so and go on.
+    Warn,
+    /// Keep the pressures, freeze the integrators; resumes (as Hold) when the cause is gone in time.
+    Hold,
+    /// Take the pressures down within the ramp time, then vent; latches.
+    Ramp,
+    /// Pressures to zero at once and the dump valve open; latches.
+    Vent,
+}
+
+impl Reaction {
+    /// Stable name, as in the fault table and in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Reaction::None => "none",
+            Reaction::Warn => "warn",
+            Reaction::Hold => "hold",
+            Reaction::Ramp => "ramp down",
+            Reaction::Vent => "vent",
+        }
+    }
+
+    /// Whether the fault stays latched until it is cleared.
+    pub const fn latches(self) -> bool {
+        matches!(self, Reaction::Ramp | Reaction::Vent)
+    }
+}
+
+/// One row of the matrix.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Row {
+    /// The fault.
+    pub code: FaultCode,
+    /// When it is there.
+    pub condition: &'static str,
+    /// How long the condition must hold.
+    pub debounce: &'static str,
+    /// First reaction.
+    pub reaction: Reaction,
+    /// Reaction if it goes on or gets worse; the same as `reaction` where there is only one.
+    pub then: Reaction,
+    /// What a person should do.
+    pub remedy: &'static str,
+}
+
+/// The fault matrix, in the order of the stable numbers.
+pub const MATRIX: [Row; FaultCode::ALL.len()] = [
+    Row {
+        code: FaultCode::OverpressureHard,
+        condition: "measured pressure above hard_pressure",
+        debounce: "1 sample",
+        reaction: Reaction::Vent,
+        then: Reaction::Vent,
+        remedy: "Look for a stuck regulator valve or a wrong full scale; check the regulator by hand before clearing.",
+    },
+    Row {
+        code: FaultCode::OverpressureSoft,
+        condition: "measured pressure above warn_pressure",
+        debounce: "100 ms",
+        reaction: Reaction::Ramp,
+        then: Reaction::Ramp,
+        remedy: "The regulator overshoots: lower max_pressure or the gains, or tune the regulator itself.",
+    },
+    Row {
+        code: FaultCode::PressureSensorRange,
+        condition: "pressure reading not a number or outside the sensor's range, POV",
+        debounce: "3 samples",
+        reaction: Reaction::Vent,
+        then: Reaction::Vent,
+        remedy: "Check the sensor's cable and full_scale in rig.toml; power the regulator off and on.",
+    },
+    Row {
+        code: FaultCode::PressureStale,
+        condition: "pressure reading older than 3 device periods, or older than 1.5 and, with the fastest fill since, \
+                    possibly above hard_pressure",
+        debounce: "none, the age is the debounce",
+        reaction: Reaction::Vent,
+        then: Reaction::Vent,
+        remedy: "Check the regulator's cable and power and the line's baud rate; `freerig doctor` talks to every unit.",
+    },
+    Row {
+        code: FaultCode::PressureNotFollowing,
+        condition: "pressure away from where the command should have brought it, and not approaching",
+        debounce: "1 s in sum",
+        reaction: Reaction::Vent,
+        then: Reaction::Vent,
+        remedy: "Look for a leak, a burst FREE, a kinked tube, a closed supply; check the regulator's lag and dead time \
+                 in the calibration.",
+    },
+    Row {
+        code: FaultCode::SupplyLow,
+        condition: "supply pressure too low (reported only where there is a supply sensor)",
+        debounce: "500 ms",
+        reaction: Reaction::Ramp,
+        then: Reaction::Ramp,
+        remedy: "Open the supply, start the compressor.",
+    },
+    Row {
+        code: FaultCode::ImuStale,
+        condition: "no fresh IMU reading for 3 device periods: hold; for 200 ms: ramp down",
+        debounce: "none, the age is the debounce",
+        reaction: Reaction::Hold,
+        then: Reaction::Ramp,
+        remedy: "Check the IMU's cable, address and power; on a Raspberry Pi use software I2C (dtoverlay=i2c-gpio).",
+    },
+    Row {
+        code: FaultCode::ImuImplausible,
+        condition: "IMU reading with a norm off by more than 0.02, a jump against the gyro, a tilt near 180 deg, or a \
+                    chip found reset: hold; none plausible for 200 ms: ramp down",
+        debounce: "3 samples",
+        reaction: Reaction::Hold,
+        then: Reaction::Ramp,
+        remedy: "Look for a loose IMU, brown-outs and corrupted I2C reads; `freerig doctor` measures the error rate.",
+    },
+    Row {
+        code: FaultCode::AngleLimit,
+        condition: "angle outside its soft envelope: ramp down; outside its hard envelope: vent",
+        debounce: "1 sample",
+        reaction: Reaction::Ramp,
+        then: Reaction::Vent,
+        remedy: "Check the program against the angle limits in rig.toml, and that the FREE turns the way its winding \
+                 angle says.",
+    },
+    Row {
+        code: FaultCode::TrackingError,
+        condition: "angle further from its reference than tracking_error",
+        debounce: "as configured",
+        reaction: Reaction::Ramp,
+        then: Reaction::Ramp,
+        remedy: "Ask for less, slow the program down, or tune: `freerig tune`; a leak or a load shows here first.",
+    },
+    Row {
+        code: FaultCode::Deadline,
+        condition: "late ticks among the last 100, those of one stall counted once",
+        debounce: "5: warn; 20: ramp down",
+        reaction: Reaction::Warn,
+        then: Reaction::Ramp,
+        remedy: "Give the daemon its real-time rights and a quiet core (`freerig doctor`, `freerig latency`), or a longer \
+                 period.",
+    },
+    Row {
+        code: FaultCode::ClientLost,
+        condition: "no heartbeat from the client that runs the experiment (never with --detach)",
+        debounce: "1.5 s",
+        reaction: Reaction::Ramp,
+        then: Reaction::Ramp,
+        remedy: "Run the experiment again; with --detach it outlives its terminal.",
+    },
+    Row {
+        code: FaultCode::RegulatorStatus,
+        condition: "the regulator reports ADC or OPL, HLD or EXH while armed, rejects a command, accepted another set-point, or \
+                    takes it from its analogue input",
+        debounce: "1 sample",
+        reaction: Reaction::Ramp,
+        then: Reaction::Ramp,
+        remedy: "Look at the regulator's display; set its set-point source to serial; cancel a hold on its panel.",
+    },
+    Row {
+        code: FaultCode::BusLost,
+        condition: "a device or its bus does not answer after the recovery ladder",
+        debounce: "none, the ladder is the debounce",
+        reaction: Reaction::Vent,
+        then: Reaction::Vent,
+        remedy: "Check cable and power, then clear; the set-point zero is the first frame after reconnecting.",
+    },
+    Row {
+        code: FaultCode::ConfigChanged,
+        condition: "a configuration file differs from what was loaded",
+        debounce: "none",
+        reaction: Reaction::Warn,
+        then: Reaction::Warn,
+        remedy: "Restart the daemon to load the new files, or put the old ones back; until then arming is refused.",
+    },
+    Row {
+        code: FaultCode::RealtimeLost,
+        condition: "no FIFO scheduling or no locked memory, with require_realtime = true",
+        debounce: "none",
+        reaction: Reaction::Warn,
+        then: Reaction::Warn,
+        remedy: "Use the systemd unit or grant rtprio and memlock (`freerig doctor` says how); until then arming is \
+                 refused.",
+    },
+    Row {
+        code: FaultCode::VentFailed,
+        condition: "pressure not below zero_pressure, or unknown without a dump valve, vent_time after a vent",
+        debounce: "vent_time",
+        reaction: Reaction::Vent,
+        then: Reaction::Vent,
+        remedy: "Software can do no more: shut the supply and open the line by hand. Stand clear of the FREE.",
+    },
+    Row {
+        code: FaultCode::EmergencyStop,
+        condition: "emergency stop: command, SIGUSR1 or input",
+        debounce: "none",
+        reaction: Reaction::Vent,
+        then: Reaction::Vent,
+        remedy: "Release the stop, see to its reason, then `freerig clear`.",
+    },
+];
+
+/// The row of `code`.
+pub fn row(code: FaultCode) -> &'static Row {
+    &MATRIX[(code as usize - 1).min(MATRIX.len() - 1)]
+}
+
+/// One entry of the black box.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Event {
+    /// Nominal time of the tick that saw it.
+    pub time: Time,
+    /// The fault.
+    pub code: FaultCode,
+    /// The FREE it is about; `None` for the rig.
+    pub free: Option<u8>,
+    /// Where the life cycle stood after that tick.
+    pub state: State,
+}
+
+/// Black box: the first faults since arming, for what comes after a first fault is mostly its consequence.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FirstErrors {
+    events: [Option<Event>; FirstErrors::CAPACITY],
+}
+
+impl FirstErrors {
+    /// Faults it keeps.
+    pub const CAPACITY: usize = 8;
+
+    /// Empty.
+    pub const fn new() -> Self {
+        Self { events: [None; Self::CAPACITY] }
+    }
+
+    /// Takes note of what a tick saw. The box starts empty when arming begins and is full with eight.
+    pub fn note(&mut self, record: &TickRecord) {
+        if record.state == State::Arming && record.request == crate::signal::RequestKind::Arm {
+            *self = Self::new();
+        }
+        for code in FaultCode::ALL {
+            if record.faults.union(record.latched).contains(code)
+                && !record.frees().iter().any(|f| f.faults.contains(code))
+            {
+                self.push(Event { time: record.time, code, free: None, state: record.state });
+            }
+            for (index, free) in record.frees().iter().enumerate().take(MAX_FREES) {
+                if free.faults.contains(code) {
+                    self.push(Event { time: record.time, code, free: Some(index as u8), state: record.state });
+                }
+            }
+        }
+    }
+
+    fn push(&mut self, event: Event) {
+        for slot in &mut self.events {
+            match slot {
+                // A latched fault whose FREE is known already is not a new one.
+                Some(seen) if seen.code == event.code && (seen.free == event.free || event.free.is_none()) => return,
+                Some(_) => {}
+                None => {
+                    *slot = Some(event);
+                    return;
+                }
+            }
+        }
+    }
+
+    /// The faults kept, the first one first.
+    pub fn iter(&self) -> impl Iterator<Item = &Event> {
+        self.events.iter().flatten()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::signal::{FaultSet, RequestKind};
+
+    #[test]
+    fn the_matrix_has_every_fault_once_in_the_order_of_its_number() {
+        for (index, code) in FaultCode::ALL.into_iter().enumerate() {
+            assert_eq!(MATRIX[index].code, code);
+            assert_eq!(row(code).code, code);
+            assert_eq!(code as usize, index + 1);
+            assert!(row(code).reaction <= row(code).then);
+            assert!(row(code).remedy.ends_with('.') && !row(code).remedy.contains("  "), "{}", row(code).remedy);
+        }
+    }
+
+    #[test]
+    fn the_black_box_keeps_the_first_faults_with_their_times_and_starts_anew_when_arming() {
+        let mut errors = FirstErrors::new();
+        let mut record = TickRecord { free_count: 2, state: State::Track, ..TickRecord::default() };
+        record.time = Time::from_nanos(5);
+        record.frees[1].faults.insert(FaultCode::ImuStale);
+        errors.note(&record);
+        record.time = Time::from_nanos(9);
+        record.faults.insert(FaultCode::Deadline);
+        record.latched.insert(FaultCode::ImuStale);
+        errors.note(&record);
+        record.frees[1].faults = FaultSet::NONE;
+        errors.note(&record);
+        let seen: Vec<_> = errors.iter().map(|e| (e.time.as_nanos(), e.code, e.free)).collect();
+        assert_eq!(seen, [(5, FaultCode::ImuStale, Some(1)), (9, FaultCode::Deadline, None)]);
+        record.faults = FaultSet(u32::MAX);
+        errors.note(&record);
+        assert_eq!(errors.iter().count(), FirstErrors::CAPACITY);
+        let arming = TickRecord { state: State::Arming, request: RequestKind::Arm, ..TickRecord::default() };
+        errors.note(&arming);
+        assert_eq!(errors.iter().count(), 0);
+    }
+}
