@@ -1,1 +1,28 @@
-//! The floor `record`.
+//! The record of a run: `runs/ID/` with its start and stop document, every record of the loop, rerun's file,
+//! the live view, plots and the report. The only floor that knows rerun.
+//!
+//! | file | what |
+//! | --- | --- |
+//! | `run.toml` | start document (written first) and stop document (written last; without it the run is *incomplete*) |
+//! | `samples.arrows` | Arrow IPC stream: every input, decision and command of every tick, bit for bit |
+//! | `run.rrd` | the same for rerun's viewer, with a blueprint |
+//! | `report.html` | one self-contained page with plots and a table of figures |
+//!
+//! A run that was killed is readable up to its last whole batch (100 ms).
+
+mod columns;
+mod document;
+mod error;
+mod recorder;
+mod run;
+mod samples;
+
+pub use columns::column_name;
+pub use document::{
+    Backend, FORMAT, FaultDocument, FreeDocument, GainsDocument, LimitsDocument, LoopDocument, ModelDocument,
+    RealtimeDocument, Repetition, RunDocument, RunKind, RunResult, StartDocument, StopDocument, sha256,
+};
+pub use error::{RecordError, Result};
+pub use recorder::{RecordOptions, Recorder};
+pub use run::{DOCUMENT_NAME, REPORT_NAME, RRD_NAME, Run};
+pub use samples::{Batches, FILE_NAME as SAMPLES_NAME, Records, Table, floats};

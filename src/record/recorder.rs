@@ -1,0 +1,216 @@
+//! Records a run: samples first, then rerun's file, then the live view.
+//!
+//! Batches are cut by the records' own time, so that a live and a stepped run make the same files. The samples
+//! are the record; `run.rrd` and the live view are made from the same batches and may fail without harming it
+//! (the failure is returned at the end and stands in the stop document), while a failure to write samples is
+//! returned at once.
+
+use std::path::Path;
+use std::time::Duration;
+
+use hdrhistogram::Histogram;
+
+use super::columns::{BatchBuilder, limit_names};
+use super::document::{FaultDocument, LoopDocument, StartDocument, StopDocument};
+use super::run::{Run, now};
+use super::samples::SampleWriter;
+use super::{RecordError, Result};
+use crate::clock::Time;
+use crate::signal::{FaultCode, FaultSet, TickRecord, Truth};
+
+/// How to record.
+#[derive(Clone, Debug)]
+pub struct RecordOptions {
+    /// Whether the simulated rig's truth is recorded beside.
+    pub truth: bool,
+    /// Length of a batch.
+    pub batch: Duration,
+}
+
+impl Default for RecordOptions {
+    fn default() -> Self {
+        Self { truth: false, batch: Duration::from_millis(100) }
+    }
+}
+
+/// A run while it is recorded.
+pub struct Recorder {
+    run: Run,
+    batch: BatchBuilder,
+    batch_length: Duration,
+    batch_start: Time,
+    samples: SampleWriter,
+    watch: Watch,
+}
+
+impl Recorder {
+    /// Makes the folder of a new run in `runs` and its files.
+    ///
+    /// # Errors
+    /// Where they cannot be made.
+    pub fn create(runs: &Path, start: StartDocument, options: RecordOptions) -> Result<Self> {
+        let run = Run::create(runs, start)?;
+        let batch = BatchBuilder::new(&run.names(), options.truth);
+        let samples = SampleWriter::create(&run.folder, batch.schema())?;
+        let watch = Watch::new()?;
+        Ok(Self { run, batch, batch_length: options.batch, batch_start: Time::ZERO, samples, watch })
+    }
+
+    /// The run's id.
+    pub fn id(&self) -> &str {
+        self.run.id()
+    }
+
+    /// The run's folder.
+    pub fn folder(&self) -> &Path {
+        &self.run.folder
+    }
+
+    /// Records so far.
+    pub fn records(&self) -> u64 {
+        self.watch.statistics.ticks
+    }
+
+    /// Appends a record. `truth` has an entry for every FREE, where the rig is simulated.
+    ///
+    /// # Errors
+    /// Where the samples cannot be written any more (the disk is full): the run goes on unrecorded, or ends, as
+    /// the caller decides.
+    pub fn push(&mut self, record: &TickRecord, truth: Option<&[Truth]>) -> Result<()> {
+        if self.batch.rows() == 0 {
+            self.batch_start = record.time;
+        } else if record.time.since(self.batch_start) >= self.batch_length {
+            self.cut()?;
+            self.batch_start = record.time;
+        }
+        let t = self.watch.see(record, &self.run);
+        self.batch.push(t, record, truth);
+        Ok(())
+    }
+
+    fn cut(&mut self) -> Result<()> {
+        let batch = self.batch.take().map_err(RecordError::samples(&self.run.folder))?;
+        self.samples.write(&batch)
+    }
+
+    /// Writes what is left and the stop document, completed by what the records have shown.
+    ///
+    /// # Errors
+    /// Where it cannot be written; the run is then incomplete.
+    pub fn finish(mut self, stop: StopDocument) -> Result<Run> {
+        if self.batch.rows() > 0 {
+            self.cut()?;
+        }
+        self.samples.finish()?;
+        let mut run = self.run;
+        run.document.stop = Some(self.watch.complete(stop));
+        run.write_document()?;
+        Ok(run)
+    }
+}
+
+/// What the recorder notes about the records that pass by.
+struct Watch {
+    first: Option<Time>,
+    last: Time,
+    skipped_before: u64,
+    statistics: LoopDocument,
+    latency: Histogram<u64>,
+    execution: Histogram<u64>,
+    limits: u8,
+    rig_faults: FaultSet,
+    free_faults: Vec<FaultSet>,
+    faults: Vec<FaultDocument>,
+    latched: FaultSet,
+}
+
+/// Longest time that the histograms hold apart, ns; two significant digits below it.
+const LONGEST_NS: u64 = 100_000_000_000;
+
+fn histogram() -> Result<Histogram<u64>> {
+    Ok(Histogram::new_with_bounds(1, LONGEST_NS, 2)?)
+}
+
+impl Watch {
+    fn new() -> Result<Self> {
+        Ok(Self {
+            first: None,
+            last: Time::ZERO,
+            skipped_before: 0,
+            statistics: LoopDocument::default(),
+            latency: histogram()?,
+            execution: histogram()?,
+            limits: 0,
+            rig_faults: FaultSet::NONE,
+            free_faults: Vec::new(),
+            faults: Vec::new(),
+            latched: FaultSet::NONE,
+        })
+    }
+
+    /// Notes `record`; its time since the run's start, s.
+    fn see(&mut self, record: &TickRecord, run: &Run) -> f64 {
+        let first = *self.first.get_or_insert_with(|| {
+            self.skipped_before = record.skipped;
+            self.free_faults = vec![FaultSet::NONE; run.start().frees.len()];
+            record.time
+        });
+        let t = record.time.seconds_since(first);
+        self.last = record.time;
+        self.statistics.ticks += 1;
+        self.statistics.deadline_misses = record.skipped.saturating_sub(self.skipped_before);
+        self.latency.saturating_record(u64::from(record.latency_ns).max(1));
+        if record.execution_ns > 0 {
+            self.execution.saturating_record(record.execution_ns.into());
+        }
+        self.latched = self.latched.union(record.latched);
+        let new = FaultSet(record.faults.0 & !self.rig_faults.0);
+        self.rig_faults = self.rig_faults.union(new);
+        new.iter().for_each(|code| self.faults.push(fault(code, None, record, t)));
+        for (i, free) in record.frees().iter().enumerate().take(self.free_faults.len()) {
+            self.limits |= free.limits.0;
+            let new = FaultSet(free.faults.0 & !self.free_faults[i].0);
+            self.free_faults[i] = self.free_faults[i].union(new);
+            let name = &run.start().frees[i].name;
+            new.iter().for_each(|code| self.faults.push(fault(code, Some(name), record, t)));
+        }
+        t
+    }
+
+    /// `stop` with everything that the records have shown.
+    fn complete(mut self, mut stop: StopDocument) -> StopDocument {
+        let micros = |h: &Histogram<u64>, q: f64| h.value_at_quantile(q) as f64 * 1e-3;
+        stop.ended = now();
+        stop.duration_s = self.first.map_or(0.0, |first| self.last.seconds_since(first));
+        stop.records = self.statistics.ticks;
+        stop.limits_seen = limit_names(self.limits).map(str::to_owned).collect();
+        stop.loop_statistics = LoopDocument {
+            latency_p50_us: micros(&self.latency, 0.5),
+            latency_p99_us: micros(&self.latency, 0.99),
+            latency_max_us: self.latency.max() as f64 * 1e-3,
+            execution_p50_us: micros(&self.execution, 0.5),
+            execution_p99_us: micros(&self.execution, 0.99),
+            execution_max_us: self.execution.max() as f64 * 1e-3,
+            ..self.statistics
+        };
+        // What the caller knows more about comes first and is not repeated.
+        for mut fault in self.faults.drain(..) {
+            if !stop.faults.iter().any(|f| f.code == fault.code && f.free == fault.free) {
+                fault.latched = self.latched.iter().any(|c| c as u8 == fault.code);
+                stop.faults.push(fault);
+            }
+        }
+        stop
+    }
+}
+
+fn fault(code: FaultCode, free: Option<&String>, record: &TickRecord, t: f64) -> FaultDocument {
+    FaultDocument {
+        code: code as u8,
+        name: code.name().into(),
+        free: free.cloned(),
+        tick: record.tick,
+        t_s: t,
+        ..FaultDocument::default()
+    }
+}
