@@ -10,7 +10,7 @@ use freerig::record::{
 };
 use freerig::signal::{
     Estimate, FaultCode, FaultSet, FreeTick, ImuHealth, ImuSample, LimitSet, MAX_FREES, PressureSample, Quantity,
-    Reference, RegulatorHealth, RegulatorStatus, RequestKind, State, Terms, TickRecord, Truth,
+    Reference, Refusal, RefusalCode, RegulatorHealth, RegulatorStatus, RequestKind, State, Terms, TickRecord, Truth,
 };
 
 const PERIOD_NS: u64 = 2_000_000;
@@ -47,6 +47,13 @@ fn scrambled(r: &mut Scramble, tick: u64, frees: usize) -> TickRecord {
         request: r.of(&[RequestKind::None, RequestKind::Arm, RequestKind::Gains]),
         estop: r.of(&[true, false]),
         realtime: r.of(&[true, false]),
+        config_changed: r.of(&[true, false]),
+        heartbeat: Time::from_nanos(r.bits()),
+        refusal: Refusal {
+            code: r.of(&[RefusalCode::None, RefusalCode::NotVented, RefusalCode::Busy]),
+            free: r.bits() as u8,
+            fault: r.of(&[None, Some(FaultCode::ImuStale), Some(FaultCode::EmergencyStop)]),
+        },
         program_time: r.float(),
         latched: FaultSet(r.bits() as u32),
         faults: FaultSet(r.bits() as u32),
@@ -80,6 +87,7 @@ fn scrambled(r: &mut Scramble, tick: u64, frees: usize) -> TickRecord {
                 acceleration: r.float(),
             },
             estimate: Estimate {
+                tare: [r.float(), r.float(), r.float(), r.float()],
                 angle: r.float(),
                 rate: r.float(),
                 measured_angle: r.float(),
@@ -110,7 +118,7 @@ fn scrambled(r: &mut Scramble, tick: u64, frees: usize) -> TickRecord {
 fn bits(record: &TickRecord) -> (String, Vec<u64>) {
     let mut floats = vec![record.program_time.to_bits()];
     for f in record.frees() {
-        let all = [f.imu.quaternion.as_slice(), &f.imu.rate, &f.imu.acceleration].concat();
+        let all = [f.imu.quaternion.as_slice(), &f.estimate.tare, &f.imu.rate, &f.imu.acceleration].concat();
         let (e, t, r, p) = (f.estimate, f.terms, f.reference, f.pressure);
         floats.extend(
             all.into_iter().chain([p.pressure, p.setpoint, r.position, r.rate, r.acceleration]).map(f64::to_bits),

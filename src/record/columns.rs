@@ -14,8 +14,8 @@ use arrow::error::ArrowError;
 
 use crate::clock::Time;
 use crate::signal::{
-    Estimate, FreeTick, ImuHealth, ImuSample, LimitSet, PressureSample, Quantity, Reference, RegulatorHealth,
-    RequestKind, State, Terms, TickRecord, Truth,
+    Estimate, FaultCode, FreeTick, ImuHealth, ImuSample, LimitSet, PressureSample, Quantity, Reference, Refusal,
+    RefusalCode, RegulatorHealth, RequestKind, State, Terms, TickRecord, Truth,
 };
 
 /// What a walk through a record does at each field. The first part of a name is the FREE (or empty).
@@ -41,6 +41,9 @@ fn visit(v: &mut impl Visitor, t: f64, record: &mut TickRecord, truth: Option<&m
         request,
         estop,
         realtime,
+        config_changed,
+        heartbeat,
+        refusal,
         program_time,
         latched,
         faults,
@@ -58,6 +61,12 @@ fn visit(v: &mut impl Visitor, t: f64, record: &mut TickRecord, truth: Option<&m
     coded(v, "", "request", request, |r| r as u8, request_of);
     v.flag("", "estop", estop);
     v.flag("", "realtime", realtime);
+    v.flag("", "config_changed", config_changed);
+    visit_time(v, "", "heartbeat_ns", heartbeat);
+    let Refusal { code, free, fault } = refusal;
+    coded(v, "", "refusal", code, |c| c as u8, refusal_of);
+    v.byte("", "refusal_free", free);
+    coded(v, "", "refusal_fault", fault, |f| f.map_or(0, |f| f as u8), fault_of);
     v.float("", "program_time_s", program_time);
     v.word("", "latched_faults", &mut latched.0);
     v.word("", "rig_faults", &mut faults.0);
@@ -87,7 +96,8 @@ fn visit_free(v: &mut impl Visitor, n: &str, free: &mut FreeTick) {
     v.float(n, "reference_rad", &mut of(Quantity::Angle));
     v.float(n, "reference_pa", &mut of(Quantity::Pressure));
 
-    let Estimate { angle, rate, measured_angle, measured_rate, tilt, age, sequence, valid } = estimate;
+    let Estimate { tare: [tw, tx, ty, tz], angle, rate, measured_angle, measured_rate, tilt, age, sequence, valid } =
+        estimate;
     v.float(n, "angle_rad", angle);
     v.float(n, "rate_rad_s", rate);
     v.float(n, "measured_angle_rad", measured_angle);
@@ -96,6 +106,9 @@ fn visit_free(v: &mut impl Visitor, n: &str, free: &mut FreeTick) {
     v.float(n, "estimate_age_s", age);
     v.word(n, "estimate_sequence", sequence);
     v.flag(n, "estimate_valid", valid);
+    for (name, value) in ["tare_qw", "tare_qx", "tare_qy", "tare_qz"].into_iter().zip([tw, tx, ty, tz]) {
+        v.float(n, name, value);
+    }
 
     v.float(n, "command_pa", command);
     v.float(n, "wanted_pa", wanted);
@@ -169,6 +182,29 @@ fn request_of(code: u8) -> RequestKind {
         6 => RequestKind::Gains,
         _ => RequestKind::None,
     }
+}
+
+fn refusal_of(code: u8) -> RefusalCode {
+    match code {
+        1 => RefusalCode::WrongState,
+        2 => RefusalCode::EmergencyStop,
+        3 => RefusalCode::FaultPresent,
+        4 => RefusalCode::ConfigChanged,
+        5 => RefusalCode::NotRealtime,
+        6 => RefusalCode::NotVented,
+        7 => RefusalCode::NoPressure,
+        8 => RefusalCode::NoImu,
+        9 => RefusalCode::NotCalibrated,
+        10 => RefusalCode::NotStill,
+        11 => RefusalCode::BadProgram,
+        12 => RefusalCode::BadGains,
+        13 => RefusalCode::Busy,
+        _ => RefusalCode::None,
+    }
+}
+
+fn fault_of(code: u8) -> Option<FaultCode> {
+    FaultCode::ALL.into_iter().find(|&f| f as u8 == code)
 }
 
 fn quantity_of(code: u8) -> Quantity {
@@ -413,6 +449,12 @@ mod tests {
     fn the_stable_numbers_go_there_and_back() {
         for code in 0..=8 {
             assert_eq!(state_of(code) as u8, code);
+        }
+        for code in 0..=13 {
+            assert_eq!(refusal_of(code) as u8, code);
+        }
+        for fault in FaultCode::ALL {
+            assert_eq!(fault_of(fault as u8), Some(fault));
         }
         for code in 0..=6 {
             assert_eq!(request_of(code) as u8, code);

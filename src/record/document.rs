@@ -7,8 +7,9 @@
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::control::{ControlConfig, FreeControl, Gains, Limits};
+use crate::control::{ControlConfig, DerivativeOn, FreeControl, Gains, Limits};
 use crate::model::Free;
+use crate::trajectory::Program;
 
 /// Version of the format of a run folder.
 pub const FORMAT: u32 = 1;
@@ -138,6 +139,9 @@ pub struct StartDocument {
     /// One of several of the same experiment.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repetition: Option<Repetition>,
+    /// What was asked; by hand there is no program.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub program: Option<Program>,
     /// The FREEs under control, in the order of rig.toml.
     pub frees: Vec<FreeDocument>,
 }
@@ -185,6 +189,12 @@ pub struct FreeDocument {
     pub model: ModelDocument,
     /// Its gains.
     pub gains: GainsDocument,
+    /// Whether the derivative term looks at the error rather than at the measurement.
+    #[serde(default)]
+    pub derivative_on_error: bool,
+    /// Share of the inverse model that is fed forward, 0 to 1.
+    #[serde(default)]
+    pub feedforward: f64,
     /// Its limits.
     pub limits: LimitsDocument,
 }
@@ -198,6 +208,8 @@ impl FreeDocument {
             calibration_sha256: String::new(),
             model: free.free.into(),
             gains: free.gains.into(),
+            derivative_on_error: free.derivative_on == DerivativeOn::Error,
+            feedforward: free.feedforward,
             limits: free.limits.into(),
         }
     }
@@ -417,6 +429,8 @@ pub fn sha256(text: &[u8]) -> String {
 mod tests {
     use super::*;
 
+    use crate::trajectory::{Segment, Sequence, Shape};
+
     #[test]
     fn the_documents_survive_toml() {
         let free = FreeDocument {
@@ -424,12 +438,15 @@ mod tests {
             limits: LimitsDocument { tracking_error_rad: f64::INFINITY, ..LimitsDocument::default() },
             ..FreeDocument::default()
         };
+        let segments = [Segment::new(0.0, Shape::Step, 0.7, 3.0), Segment::new(0.7, Shape::Cubic, 0.1, 1.5)];
+        let program = Program::angle(0, Sequence::new(segments).unwrap()).unwrap();
         let document = RunDocument {
             format: FORMAT,
             start: StartDocument {
                 note: "first \"try\"\nwith a new FREE".into(),
                 seed: Some(7),
                 frees: vec![free],
+                program: Some(program),
                 repetition: Some(Repetition { group: "g".into(), index: 1, of: 3 }),
                 ..StartDocument::default()
             },
