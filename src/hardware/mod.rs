@@ -8,8 +8,12 @@
 
 pub mod alicat;
 pub mod alicat_frame;
+pub mod bno055;
 mod error;
+pub mod i2c;
+pub mod i2c_owner;
 mod imu;
+pub mod mcp4728;
 mod regulator;
 pub mod serial;
 pub mod serial_line;

@@ -1,0 +1,196 @@
+//! One IMU under its bus owner: set-up without blocking, reading, recovery, and what is published meanwhile.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use embedded_hal::i2c::I2c;
+
+use super::recovery::{Recovery, Rung, with_retries};
+use crate::clock::{Clock, Time};
+use crate::hardware::bno055::{Bno055, Progress};
+use crate::hardware::statistics::DeviceStatistics;
+use crate::hardware::wiring::ImuWiring;
+use crate::hardware::{HardwareError, Imu, Reading};
+use crate::signal::{ImuHealth, ImuSample};
+
+/// A sensor whose frame has not changed in any bit for this long is stuck: the noise of its own accelerometer
+/// moves the last bits of nearly every frame.
+const STUCK_AFTER: Duration = Duration::from_millis(500);
+
+pub(super) struct ImuSeat<I> {
+    pub wiring: ImuWiring,
+    pub statistics: Arc<DeviceStatistics>,
+    /// When it wants its next turn.
+    pub due: Time,
+    /// Reading of this turn, until it is published.
+    pub staged: Option<ImuSample>,
+    name: String,
+    driver: Option<Bno055<I>>,
+    running: bool,
+    /// The set-up goes on at this time.
+    resume: Time,
+    recovery: Recovery,
+    /// Latest reading that was good, and when a frame last differed from its predecessor.
+    last: ImuSample,
+    changed: Time,
+    sequence: u32,
+}
+
+impl<I: I2c> ImuSeat<I> {
+    pub fn new(wiring: ImuWiring, bus: &str, now: Time) -> Self {
+        let device = format!("BNO055 at {:#04x} on {bus}", wiring.address);
+        Self {
+            statistics: Arc::new(DeviceStatistics::new(device.into())),
+            name: bus.into(),
+            wiring,
+            due: now,
+            staged: None,
+            driver: None,
+            running: false,
+            resume: now,
+            recovery: Recovery::default(),
+            last: ImuSample::default(),
+            changed: now,
+            sequence: 0,
+        }
+    }
+
+    /// One turn: at most one burst, or one step of the set-up.
+    pub fn turn(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+        let begun = clock.now();
+        if self.running {
+            self.read(clock, open);
+        } else if begun >= self.resume {
+            self.set_up(clock, open);
+        }
+        if !self.running {
+            self.report_absence();
+        }
+        // The phase is kept; turns that have been missed are skipped, not made up for.
+        self.due = self.due + self.wiring.period;
+        if self.due <= clock.now() {
+            self.due = begun.max(clock.now()) + self.wiring.period;
+        }
+    }
+
+    fn read(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+        let Some(driver) = &mut self.driver else {
+            self.restart(clock.now());
+            return;
+        };
+        match with_retries(clock, &self.statistics, || driver.read()) {
+            Ok(Reading::Fresh(sample)) => {
+                self.statistics.reads.increment();
+                self.recovery.succeeded();
+                self.changed = sample.time;
+                self.last = sample;
+                self.stage(sample);
+            }
+            Ok(Reading::Repeated) => {
+                self.statistics.repeats.increment();
+                let silence = clock.now().since(self.changed);
+                if silence > STUCK_AFTER {
+                    self.statistics.note_error(&HardwareError::Malformed {
+                        device: self.statistics.device.clone(),
+                        detail: format!("its readings have not changed for {} ms", STUCK_AFTER.as_millis()),
+                    });
+                    self.restart(clock.now());
+                }
+            }
+            Ok(Reading::Implausible(sample, _)) => {
+                self.statistics.implausible.increment();
+                self.recovery.succeeded();
+                self.changed = sample.time;
+                self.stage(sample);
+            }
+            Ok(Reading::Reset) => {
+                self.statistics.resets.increment();
+                self.restart(clock.now());
+            }
+            Err(_) => self.climb(clock, open),
+        }
+    }
+
+    /// The next step of the set-up.
+    fn set_up(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+        let Some(driver) = &mut self.driver else {
+            match open() {
+                Ok(bus) => {
+                    let (address, profile) = (self.wiring.address, self.wiring.profile);
+                    self.driver = Some(Bno055::new(bus, clock.clone(), &self.name, address, profile));
+                }
+                Err(error) => {
+                    self.statistics.note_error(&error);
+                    self.fail(clock.now());
+                    self.resume = clock.now() + self.recovery.pace();
+                }
+            }
+            return;
+        };
+        match driver.advance() {
+            Ok(Progress::Wait(until)) => self.resume = until,
+            Ok(Progress::Running(identity)) => {
+                self.statistics.note_connected(identity);
+                self.running = true;
+                self.changed = clock.now();
+            }
+            Err(error) => {
+                self.statistics.note_error(&error);
+                self.climb(clock, open);
+                self.resume = clock.now() + self.recovery.pace();
+            }
+        }
+    }
+
+    fn climb(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+        let rung = self.fail(clock.now());
+        if matches!(rung, Rung::Reopen | Rung::Lost) {
+            match (open(), &mut self.driver) {
+                (Ok(bus), Some(driver)) => {
+                    self.statistics.reopens.increment();
+                    driver.replace_bus(bus);
+                }
+                (Ok(_), None) => {}
+                (Err(error), _) => self.statistics.note_error(&error),
+            }
+        }
+        if matches!(rung, Rung::Restart | Rung::Lost) {
+            self.restart(clock.now());
+        }
+    }
+
+    /// Counts a loss once, when the end of the ladder is reached.
+    fn fail(&mut self, now: Time) -> Rung {
+        let was_lost = self.recovery.is_lost();
+        let rung = self.recovery.failed(now);
+        if rung == Rung::Lost && !was_lost {
+            self.statistics.losses.increment();
+        }
+        rung
+    }
+
+    fn restart(&mut self, now: Time) {
+        self.running = false;
+        self.resume = now;
+        if let Some(driver) = &mut self.driver {
+            driver.restart();
+        }
+    }
+
+    /// Without readings the slot says why, every period: the latest good values under their own time, marked.
+    fn report_absence(&mut self) {
+        let health = match self.recovery.is_lost() {
+            true => ImuHealth::Lost,
+            // Before the first reading there is nothing that could be missed.
+            false if self.last.health == ImuHealth::Absent => return,
+            false => ImuHealth::Restarting,
+        };
+        self.stage(ImuSample { health, ..self.last });
+    }
+
+    fn stage(&mut self, mut sample: ImuSample) {
+        self.sequence = self.sequence.wrapping_add(1);
+        sample.sequence = self.sequence;
+        self.staged = Some(sample);
+    }
+}

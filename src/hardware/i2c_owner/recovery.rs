@@ -1,0 +1,125 @@
+//! The recovery ladder: how long a device may fail before what is tried.
+//!
+//! | after | what |
+//! | --- | --- |
+//! | at once | two retries in the same turn, unless the failure itself took long (a stuck bus blocks) |
+//! | 50 ms | the bus is opened anew, once |
+//! | 150 ms | the device is set up anew |
+//! | 500 ms | it is lost, and says so; twice a second the whole ladder is tried again |
+//!
+//! Nothing here waits: between the rungs the bus belongs to the other devices. The first rungs are slower than
+//! the shortest interlock, on purpose: readings grow stale in the tick long before, and a connector that comes
+//! back in time costs a hold, not a vent.
+
+use std::time::Duration;
+
+use crate::clock::{Clock, Time};
+use crate::hardware::HardwareError;
+use crate::hardware::statistics::DeviceStatistics;
+
+const REOPEN_AFTER: Duration = Duration::from_millis(50);
+const RESTART_AFTER: Duration = Duration::from_millis(150);
+const LOST_AFTER: Duration = Duration::from_millis(500);
+/// Pace of the attempts to get a lost device back.
+pub(super) const LOST_PACE: Duration = Duration::from_millis(500);
+/// Pace of the attempts to set up a device that is not lost yet.
+pub(super) const SETUP_PACE: Duration = Duration::from_millis(50);
+/// A failure that takes longer is not tried again in the same turn.
+const SLOW: Duration = Duration::from_millis(20);
+const RETRIES: u32 = 2;
+
+/// What to do about a failure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Rung {
+    /// Nothing but going on.
+    Continue,
+    /// Open the bus anew.
+    Reopen,
+    /// Set the device up anew.
+    Restart,
+    /// Open the bus and set the device up, at a slow pace, and say that it is lost.
+    Lost,
+}
+
+/// Where one device stands on the ladder.
+#[derive(Debug, Default)]
+pub(super) struct Recovery {
+    since: Option<Time>,
+    reached: Duration,
+    lost: bool,
+}
+
+impl Recovery {
+    /// The device works.
+    pub fn succeeded(&mut self) {
+        *self = Self::default();
+    }
+
+    /// The device failed at `now`: what is due?
+    pub fn failed(&mut self, now: Time) -> Rung {
+        let elapsed = now.since(*self.since.get_or_insert(now));
+        let mut climb = |rung: Duration, to: Rung| {
+            (self.reached < rung && elapsed >= rung).then(|| {
+                self.reached = rung;
+                to
+            })
+        };
+        if elapsed >= LOST_AFTER {
+            self.lost = true;
+            return Rung::Lost;
+        }
+        climb(RESTART_AFTER, Rung::Restart).or_else(|| climb(REOPEN_AFTER, Rung::Reopen)).unwrap_or(Rung::Continue)
+    }
+
+    /// Whether the end of the ladder has been reached.
+    pub fn is_lost(&self) -> bool {
+        self.lost
+    }
+
+    /// Time to the next attempt to set the device up.
+    pub fn pace(&self) -> Duration {
+        if self.lost { LOST_PACE } else { SETUP_PACE }
+    }
+}
+
+/// Tries `exchange` up to three times at once; counts retries and the final failure.
+pub(super) fn with_retries<T>(
+    clock: &Clock,
+    statistics: &DeviceStatistics,
+    mut exchange: impl FnMut() -> Result<T, HardwareError>,
+) -> Result<T, HardwareError> {
+    let mut left = RETRIES;
+    loop {
+        let begun = clock.now();
+        match exchange() {
+            Err(error) if left > 0 && error.is_transient() && clock.now().since(begun) < SLOW => {
+                left -= 1;
+                statistics.retries.increment();
+            }
+            Err(error) => {
+                statistics.note_error(&error);
+                return Err(error);
+            }
+            ok => return ok,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_rung_is_climbed_once_and_the_last_one_holds() {
+        let at = |ms: u64| Time::from_nanos(1_000_000_000 + ms * 1_000_000);
+        let mut ladder = Recovery::default();
+        let rungs: Vec<_> = [0, 40, 50, 60, 149, 150, 160, 499].map(|ms| ladder.failed(at(ms))).into();
+        use Rung::{Continue, Reopen, Restart};
+        assert_eq!(rungs, [Continue, Continue, Reopen, Continue, Continue, Restart, Continue, Continue]);
+        assert!(!ladder.is_lost());
+        assert_eq!([ladder.failed(at(500)), ladder.failed(at(1000))], [Rung::Lost; 2]);
+        assert!(ladder.is_lost());
+        ladder.succeeded();
+        assert_eq!(ladder.failed(at(2000)), Continue);
+    }
+}
