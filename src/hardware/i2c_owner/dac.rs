@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use embedded_hal::i2c::I2c;
 
-use super::recovery::{Recovery, Rung, with_retries};
+use super::recovery::{DAC_LOST_AFTER, Recovery, Rung, with_retries};
 use crate::clock::{Clock, Time};
 use crate::hardware::mcp4728::{Mcp4728, codes_of};
 use crate::hardware::statistics::DeviceStatistics;
@@ -48,7 +48,7 @@ impl<I: I2c> DacSeat<I> {
             running: false,
             resume: now,
             verified: now,
-            recovery: Recovery::default(),
+            recovery: Recovery::new(DAC_LOST_AFTER),
             codes: [0; 4],
             sequence: 0,
         }
@@ -109,7 +109,7 @@ impl<I: I2c> DacSeat<I> {
                 return;
             }
         };
-        if verify {
+        if verify && status == RegulatorStatus::default() {
             self.verified = clock.now();
         }
         self.statistics.reads.increment();

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use embedded_hal::i2c::I2c;
 
-use super::recovery::{Recovery, Rung, with_retries};
+use super::recovery::{IMU_LOST_AFTER, Recovery, Rung, with_retries};
 use crate::clock::{Clock, Time};
 use crate::hardware::bno055::{Bno055, Progress};
 use crate::hardware::statistics::DeviceStatistics;
@@ -48,7 +48,7 @@ impl<I: I2c> ImuSeat<I> {
             driver: None,
             running: false,
             resume: now,
-            recovery: Recovery::default(),
+            recovery: Recovery::new(IMU_LOST_AFTER),
             last: ImuSample::default(),
             changed: now,
             sequence: 0,

@@ -5,11 +5,12 @@
 //! | at once | two retries in the same turn, unless the failure itself took long (a stuck bus blocks) |
 //! | 50 ms | the bus is opened anew, once |
 //! | 150 ms | the device is set up anew |
-//! | 500 ms | it is lost, and says so; twice a second the whole ladder is tried again |
+//! | 150 ms (DAC), 1 s (IMU) | it is lost, and says so; twice a second the whole ladder is tried again |
 //!
 //! Nothing here waits: between the rungs the bus belongs to the other devices. The first rungs are slower than
 //! the shortest interlock, on purpose: readings grow stale in the tick long before, and a connector that comes
-//! back in time costs a hold, not a vent.
+//! back in time costs a hold, not a vent. A BNO055 that has been reset answers nothing for 650 ms: that is not a
+//! loss yet. A DAC has no such excuse, and pressure hangs on it.
 
 use std::time::Duration;
 
@@ -19,7 +20,10 @@ use crate::hardware::statistics::DeviceStatistics;
 
 const REOPEN_AFTER: Duration = Duration::from_millis(50);
 const RESTART_AFTER: Duration = Duration::from_millis(150);
-const LOST_AFTER: Duration = Duration::from_millis(500);
+/// A DAC that has failed for this long is lost.
+pub(super) const DAC_LOST_AFTER: Duration = RESTART_AFTER;
+/// An IMU that has failed for this long is lost.
+pub(super) const IMU_LOST_AFTER: Duration = Duration::from_secs(1);
 /// Pace of the attempts to get a lost device back.
 pub(super) const LOST_PACE: Duration = Duration::from_millis(500);
 /// Pace of the attempts to set up a device that is not lost yet.
@@ -42,17 +46,23 @@ pub(super) enum Rung {
 }
 
 /// Where one device stands on the ladder.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Recovery {
+    lost_after: Duration,
     since: Option<Time>,
     reached: Duration,
     lost: bool,
 }
 
 impl Recovery {
+    /// A device without a failure, lost once it has failed for `lost_after`.
+    pub fn new(lost_after: Duration) -> Self {
+        Self { lost_after, since: None, reached: Duration::ZERO, lost: false }
+    }
+
     /// The device works.
     pub fn succeeded(&mut self) {
-        *self = Self::default();
+        *self = Self::new(self.lost_after);
     }
 
     /// The device failed at `now`: what is due?
@@ -64,7 +74,7 @@ impl Recovery {
                 to
             })
         };
-        if elapsed >= LOST_AFTER {
+        if elapsed >= self.lost_after {
             self.lost = true;
             return Rung::Lost;
         }
@@ -112,7 +122,7 @@ mod tests {
     #[test]
     fn each_rung_is_climbed_once_and_the_last_one_holds() {
         let at = |ms: u64| Time::from_nanos(1_000_000_000 + ms * 1_000_000);
-        let mut ladder = Recovery::default();
+        let mut ladder = Recovery::new(Duration::from_millis(500));
         let rungs: Vec<_> = [0, 40, 50, 60, 149, 150, 160, 499].map(|ms| ladder.failed(at(ms))).into();
         use Rung::{Continue, Reopen, Restart};
         assert_eq!(rungs, [Continue, Continue, Reopen, Continue, Continue, Restart, Continue, Continue]);

@@ -306,6 +306,11 @@ impl I2cChip for Bno055Chip {
         Ok(())
     }
 
+    fn attached(&mut self, now: Time) {
+        self.reset(now);
+        self.awake = now;
+    }
+
     fn power_on(&mut self, now: Time) {
         self.frozen = false;
         self.reset(now);

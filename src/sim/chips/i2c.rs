@@ -32,6 +32,11 @@ pub trait I2cChip: Send {
         Err(Nak)
     }
 
+    /// The bench has been on for a while when the program finds it: the state after power-on, start-up time over.
+    fn attached(&mut self, now: Time) {
+        self.power_on(now);
+    }
+
     /// Power comes (back): everything volatile is lost.
     fn power_on(&mut self, now: Time);
 
@@ -89,9 +94,9 @@ impl SimI2c {
         Self { wires: Arc::new(Mutex::new(wires)), clock, bit }
     }
 
-    /// Puts `chip` on the bus, powers it, and returns the handle by which it is made to misbehave.
+    /// Puts `chip` on the bus, powered a while ago, and returns the handle by which it is made to misbehave.
     pub fn attach(&self, address: u8, mut chip: impl I2cChip + 'static) -> Mischief {
-        chip.power_on(self.clock.now());
+        chip.attached(self.clock.now());
         let mischief = Mischief::default();
         let seat = Seat { address, chip: Box::new(chip), mischief: mischief.clone(), away: false };
         self.wires.lock().unwrap_or_else(PoisonError::into_inner).seats.push(seat);
