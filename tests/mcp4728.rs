@@ -192,7 +192,8 @@ fn a_lost_code_is_found_by_reading_back() {
 
 #[test]
 fn every_misbehaviour_is_reported_as_what_it_is() {
-    let cases: [(Misbehaviour, fn(&Result<(), HardwareError>) -> bool); 6] = [
+    type Expected = fn(&Result<(), HardwareError>) -> bool;
+    let cases: [(Misbehaviour, Expected); 6] = [
         (Misbehaviour::Nak, |r| matches!(r, Err(HardwareError::NoAnswer { .. }))),
         (Misbehaviour::Silent, |r| matches!(r, Err(HardwareError::NoAnswer { .. }))),
         (Misbehaviour::Reset, |r| matches!(r, Err(HardwareError::NotTaken { .. }))),

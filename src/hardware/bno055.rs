@@ -270,7 +270,7 @@ impl<I: I2c> Bno055<I> {
                 });
             }
             let wanted = BNO055Calibration::from_buf(&profile.registers);
-            self.chip(config, |chip| chip.set_calibration_profile(wanted.clone(), &mut wait))?;
+            self.chip(config, |chip| chip.set_calibration_profile(wanted, &mut wait))?;
             let read = self.chip(config, |chip| chip.calibration_profile(&mut wait))?;
             if read != wanted {
                 let (written, read) = (hexadecimal(wanted.as_bytes()), hexadecimal(read.as_bytes()));
