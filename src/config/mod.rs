@@ -16,8 +16,10 @@
 //! the program, which replaces them atomically ([`atomic`]).
 
 pub mod atomic;
+mod axis;
 mod build;
 pub mod calibration;
+pub mod experiment;
 mod free;
 pub mod gains;
 mod key;
@@ -28,6 +30,7 @@ mod rig;
 mod sections;
 
 pub use calibration::Calibration;
+pub use experiment::{Course, Experiment, Kind};
 pub use load::SourceFile;
 pub use problem::{ConfigError, Problem};
 pub use rig::{Backend, LoopConfig, RecordConfig, Rig, SocketConfig};
