@@ -12,7 +12,7 @@ use futures_util::future::{Either, select};
 use rustix::fs::OFlags;
 use rustix::io::Errno;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use tokio::io::unix::AsyncFd;
+use tokio::net::unix::pipe::Receiver;
 use tokio::sync::oneshot;
 
 use super::SerialLine;
@@ -93,7 +93,9 @@ impl Drop for Pty {
 /// Moves bytes between the terminal and the line for ever.
 async fn serve(master: OwnedFd, line: &Mutex<SerialLine>) -> io::Result<()> {
     let clock = Clock::Live;
-    let master = AsyncFd::register(master)?;
+    let writer = master.try_clone()?;
+    // The terminal's master end, non-blocking, does all that is asked of a pipe's reading end.
+    let reader = Receiver::from_owned_fd_unchecked(master)?;
     let lock = || line.lock().unwrap_or_else(PoisonError::into_inner);
     let mut bytes = [0; 256];
     loop {
@@ -101,7 +103,7 @@ async fn serve(master: OwnedFd, line: &Mutex<SerialLine>) -> io::Result<()> {
         let out = lock().take(now, bytes.len());
         let mut rest = &out[..];
         while !rest.is_empty() {
-            match rustix::io::write(master.get_ref(), rest) {
+            match rustix::io::write(&writer, rest) {
                 Ok(count) => rest = &rest[count..],
                 // Nobody reads: a serial line does not wait, the bytes are lost.
                 Err(Errno::AGAIN | Errno::IO) => break,
@@ -109,20 +111,17 @@ async fn serve(master: OwnedFd, line: &Mutex<SerialLine>) -> io::Result<()> {
             }
         }
         let next = lock().next_ready().unwrap_or(now + IDLE);
-        let mut guard = match select(pin!(master.readable()), pin!(clock.sleep_until(next))).await {
-            Either::Left((guard, _)) => guard?,
+        match select(pin!(reader.readable()), pin!(clock.sleep_until(next))).await {
+            Either::Left((ready, _)) => ready?,
             Either::Right(_) => continue,
-        };
-        match rustix::io::read(master.get_ref(), &mut bytes) {
-            Ok(0) | Err(Errno::IO) => {
-                // The other end is not open.
-                guard.clear_ready();
-                drop(guard);
-                clock.sleep(CLOSED_POLL).await;
-            }
-            Ok(count) => lock().receive(&bytes[..count], clock.now()),
-            Err(Errno::AGAIN) => guard.clear_ready(),
-            Err(error) => return Err(error.into()),
+        }
+        match reader.try_read(&mut bytes) {
+            Ok(count) if count > 0 => lock().receive(&bytes[..count], clock.now()),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+            // The other end is not open.
+            Ok(_) => clock.sleep(CLOSED_POLL).await,
+            Err(error) if Errno::from_io_error(&error) == Some(Errno::IO) => clock.sleep(CLOSED_POLL).await,
+            Err(error) => return Err(error),
         }
     }
 }
