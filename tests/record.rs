@@ -3,37 +3,23 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 use freerig::clock::Time;
 use freerig::record::{
-    FreeDocument, RecordOptions, Recorder, Run, RunKind, RunResult, SAMPLES_NAME, StartDocument, StopDocument,
+    RRD_NAME, RecordOptions, Recorder, Run, RunKind, RunResult, SAMPLES_NAME, StartDocument, StopDocument,
 };
 use freerig::signal::{
     Estimate, FaultCode, FaultSet, FreeTick, ImuHealth, ImuSample, LimitSet, MAX_FREES, PressureSample, Quantity,
     Reference, Refusal, RefusalCode, RegulatorHealth, RegulatorStatus, RequestKind, State, Terms, TickRecord, Truth,
 };
 
-const PERIOD_NS: u64 = 2_000_000;
+use freerig::trajectory::Program;
 
-/// Numbers that look like anything at all, the same every time.
-struct Scramble(u64);
+#[path = "record/fixture.rs"]
+mod fixture;
 
-impl Scramble {
-    fn bits(&mut self) -> u64 {
-        // SplitMix64.
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-    fn float(&mut self) -> f64 {
-        f64::from_bits(self.bits())
-    }
-    fn of<T: Copy>(&mut self, all: &[T]) -> T {
-        all[self.bits() as usize % all.len()]
-    }
-}
+use fixture::{PERIOD_NS, Scramble};
 
 /// A record whose every field holds anything, NaN payloads included.
 fn scrambled(r: &mut Scramble, tick: u64, frees: usize) -> TickRecord {
@@ -131,17 +117,11 @@ fn bits(record: &TickRecord) -> (String, Vec<u64>) {
 }
 
 fn start(names: &[&str]) -> StartDocument {
-    StartDocument {
-        kind: RunKind::Step,
-        subject: names[0].into(),
-        tick_period_s: PERIOD_NS as f64 * 1e-9,
-        frees: names.iter().map(|n| FreeDocument { name: (*n).into(), ..FreeDocument::default() }).collect(),
-        ..StartDocument::default()
-    }
+    fixture::start(RunKind::Step, names)
 }
 
 fn record_scrambled(runs: &Path, names: &[&str], count: u64, truth: bool) -> (Recorder, Vec<TickRecord>, Vec<Truth>) {
-    let options = RecordOptions { truth, ..RecordOptions::default() };
+    let options = RecordOptions { truth, rrd: false, ..RecordOptions::default() };
     let mut recorder = Recorder::create(runs, start(names), options).unwrap();
     let mut r = Scramble(1);
     let (mut records, mut truths) = (Vec::new(), Vec::new());
@@ -256,4 +236,50 @@ fn a_folder_that_cannot_be_written_is_an_error_with_its_path() {
     fs::write(&file, "").unwrap();
     let error = Recorder::create(&file, start(&["a"]), RecordOptions::default()).err().unwrap();
     assert!(error.to_string().contains("file"), "{error}");
+}
+
+/// rerun's own tool of the pinned version, where it is installed.
+fn rerun_tool() -> Option<impl Fn(&[&str]) -> (bool, String)> {
+    let call = |arguments: &[&str]| {
+        let output = Command::new("rerun").args(arguments).output().ok()?;
+        let text = [output.stdout, output.stderr].concat();
+        Some((output.status.success(), String::from_utf8_lossy(&text).into_owned()))
+    };
+    match call(&["--version"]) {
+        Some((true, text)) if text.contains("0.36.3") => Some(move |a: &[&str]| call(a).unwrap_or_default()),
+        other => {
+            println!("skipped: `rerun` 0.36.3 is not installed (pip install rerun-sdk==0.36.3): {other:?}");
+            None
+        }
+    }
+}
+
+#[test]
+fn reruns_own_tool_accepts_the_file_of_a_finished_and_of_a_killed_run() {
+    let Some(rerun) = rerun_tool() else { return };
+    let runs = tempfile::tempdir().unwrap();
+    let sequence = freerig::trajectory::paper_steps().unwrap();
+    let program = Program::angle(0, sequence).unwrap();
+    let recorder = fixture::run(runs.path(), start(&["paper"]), &program, 1);
+    let run = recorder.finish(StopDocument::default()).unwrap();
+    assert_eq!(run.stop().unwrap().rerun_error, "");
+    let path = run.folder.join(RRD_NAME);
+    let path = path.to_str().unwrap();
+    let (ok, text) = rerun(&["rrd", "verify", path]);
+    assert!(ok, "{text}");
+    let (ok, text) = rerun(&["rrd", "print", "-vv", path]);
+    assert!(ok, "{text}");
+    for entity in ["/frees/paper/angle/estimate", "/rig/paper/fibers", "/states/life_cycle", "/events"] {
+        assert!(text.contains(entity), "{entity} is missing:\n{text}");
+    }
+
+    // Killed: everything but the last half second of data is in the file by then.
+    let recorder = fixture::run(runs.path(), start(&["paper"]), &program, 1);
+    let folder = recorder.folder().to_owned();
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    let cut = runs.path().join("cut.rrd");
+    fs::copy(folder.join(RRD_NAME), &cut).unwrap();
+    std::mem::forget(recorder);
+    let (ok, text) = rerun(&["rrd", "stats", cut.to_str().unwrap()]);
+    assert!(ok, "{text}");
 }

@@ -158,7 +158,8 @@ fn coded<T: Copy>(v: &mut impl Visitor, n: &str, name: &str, value: &mut T, to: 
     *value = from(code);
 }
 
-fn state_of(code: u8) -> State {
+/// The state of a stable number.
+pub fn state_of(code: u8) -> State {
     match code {
         1 => State::Disarmed,
         2 => State::Arming,

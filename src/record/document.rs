@@ -402,7 +402,7 @@ pub struct StopDocument {
     /// Records that the ring had no room for.
     #[serde(default)]
     pub lost_records: u64,
-    /// Batches that run.rrd lacks (`samples.arrows` has them).
+    /// Why `run.rrd` is not complete (`samples.arrows` is); empty where it is.
     #[serde(default)]
     pub rerun_error: String,
     /// Names of the limits that were in force at some time.

@@ -10,12 +10,16 @@
 //!
 //! A run that was killed is readable up to its last whole batch (100 ms).
 
+mod blueprint;
 mod columns;
 mod document;
 mod error;
+mod palette;
 mod recorder;
+mod rerun_sink;
 mod run;
 mod samples;
+mod shape;
 
 pub use columns::column_name;
 pub use document::{
@@ -24,5 +28,6 @@ pub use document::{
 };
 pub use error::{RecordError, Result};
 pub use recorder::{RecordOptions, Recorder};
+pub use rerun_sink::APPLICATION_ID;
 pub use run::{DOCUMENT_NAME, REPORT_NAME, RRD_NAME, Run};
 pub use samples::{Batches, FILE_NAME as SAMPLES_NAME, Records, Table, floats};

@@ -12,6 +12,7 @@ use hdrhistogram::Histogram;
 
 use super::columns::{BatchBuilder, limit_names};
 use super::document::{FaultDocument, LoopDocument, StartDocument, StopDocument};
+use super::rerun_sink::RerunFile;
 use super::run::{Run, now};
 use super::samples::SampleWriter;
 use super::{RecordError, Result};
@@ -23,13 +24,15 @@ use crate::signal::{FaultCode, FaultSet, TickRecord, Truth};
 pub struct RecordOptions {
     /// Whether the simulated rig's truth is recorded beside.
     pub truth: bool,
+    /// Whether `run.rrd` is written for rerun's viewer.
+    pub rrd: bool,
     /// Length of a batch.
     pub batch: Duration,
 }
 
 impl Default for RecordOptions {
     fn default() -> Self {
-        Self { truth: false, batch: Duration::from_millis(100) }
+        Self { truth: false, rrd: true, batch: Duration::from_millis(100) }
     }
 }
 
@@ -40,6 +43,8 @@ pub struct Recorder {
     batch_length: Duration,
     batch_start: Time,
     samples: SampleWriter,
+    rerun: Option<RerunFile>,
+    rerun_error: String,
     watch: Watch,
 }
 
@@ -52,8 +57,21 @@ impl Recorder {
         let run = Run::create(runs, start)?;
         let batch = BatchBuilder::new(&run.names(), options.truth);
         let samples = SampleWriter::create(&run.folder, batch.schema())?;
+        let rerun = match options.rrd {
+            true => Some(RerunFile::create(&run.folder, run.start(), options.truth)?),
+            false => None,
+        };
         let watch = Watch::new()?;
-        Ok(Self { run, batch, batch_length: options.batch, batch_start: Time::ZERO, samples, watch })
+        Ok(Self {
+            run,
+            batch,
+            batch_length: options.batch,
+            batch_start: Time::ZERO,
+            samples,
+            rerun,
+            rerun_error: String::new(),
+            watch,
+        })
     }
 
     /// The run's id.
@@ -90,7 +108,15 @@ impl Recorder {
 
     fn cut(&mut self) -> Result<()> {
         let batch = self.batch.take().map_err(RecordError::samples(&self.run.folder))?;
-        self.samples.write(&batch)
+        self.samples.write(&batch)?;
+        if let Some(rerun) = &mut self.rerun
+            && let Err(error) = rerun.send(&batch)
+        {
+            tracing::error!(run = self.run.id(), %error, "run.rrd ends here; the samples go on");
+            self.rerun_error = error.to_string();
+            self.rerun = None;
+        }
+        Ok(())
     }
 
     /// Writes what is left and the stop document, completed by what the records have shown.
@@ -102,8 +128,14 @@ impl Recorder {
             self.cut()?;
         }
         self.samples.finish()?;
+        if let Some(rerun) = self.rerun.take()
+            && let Err(error) = rerun.finish()
+        {
+            tracing::error!(run = self.run.id(), %error, "run.rrd is not complete; the samples are");
+            self.rerun_error = error.to_string();
+        }
         let mut run = self.run;
-        run.document.stop = Some(self.watch.complete(stop));
+        run.document.stop = Some(StopDocument { rerun_error: self.rerun_error, ..self.watch.complete(stop) });
         run.write_document()?;
         Ok(run)
     }

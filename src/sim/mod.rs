@@ -11,7 +11,7 @@ mod valve;
 
 pub use bench::{BenchConfig, ImuSim, PlantSim, RegulatorSim};
 pub use hysteresis::MaxwellSlip;
-pub use plant::{Plant, PlantFault, STEP};
+pub use plant::{Motion, Plant, PlantFault, STEP};
 pub use regulator::{Regulator, Valve};
 pub use tip::{HardStop, Tip};
 pub use valve::DumpValve;

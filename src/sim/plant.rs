@@ -14,7 +14,6 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use super::chips::Orientation;
 use super::regulator::{Regulator, Valve};
 use super::tip::{HardStop, Tip, loop_friction};
 use super::valve::DumpValve;
@@ -52,6 +51,17 @@ enum Event {
     Setpoint(usize, f64),
     Dump(bool),
     Fault(PlantFault),
+}
+
+/// Motion of a FREE's end, as a sensor fixed to it sees it. The sensor's z is the FREE's axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    /// Sensor to world, unit quaternion (w, x, y, z).
+    pub quaternion: [f64; 4],
+    /// Angular rate in the sensor's frame, rad/s.
+    pub rate: [f64; 3],
+    /// Acceleration in the sensor's frame without gravity, m/s2.
+    pub acceleration: [f64; 3],
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -167,15 +177,11 @@ impl Plant {
         (pressure + noise).min(1.1 * spec.full_scale)
     }
 
-    /// Motion of a FREE's end at `time`, as a sensor fixed to it with its z along the FREE sees it, by interpolation between the remembered states (2 s of them).
-    pub fn orientation(&mut self, free: usize, time: Time) -> Orientation {
+    /// Motion of a FREE's end at `time`, by interpolation between the remembered states (2 s of them).
+    pub fn orientation(&mut self, free: usize, time: Time) -> Motion {
         let s = self.at(free, time);
         let (sin, cos) = (0.5 * s.angle).sin_cos();
-        Orientation {
-            quaternion: [cos, 0.0, 0.0, sin],
-            rate: [0.0, 0.0, s.rate],
-            acceleration: [0.0, 0.0, s.acceleration],
-        }
+        Motion { quaternion: [cos, 0.0, 0.0, sin], rate: [0.0, 0.0, s.rate], acceleration: [0.0, 0.0, s.acceleration] }
     }
 
     /// What a FREE really does at `time`.
