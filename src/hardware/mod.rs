@@ -22,6 +22,7 @@ mod statistics;
 pub mod wiring;
 
 pub use error::HardwareError;
+pub use i2c_owner::{I2cOwner, I2cPorts};
 pub use imu::{Identity, Implausible, Imu, Reading};
 pub use regulator::PressureRegulator;
 pub use statistics::{Counter, DeviceStatistics};

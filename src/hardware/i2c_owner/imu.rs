@@ -17,6 +17,9 @@ use crate::signal::{ImuHealth, ImuSample};
 /// moves the last bits of nearly every frame.
 const STUCK_AFTER: Duration = Duration::from_millis(500);
 
+/// Period of the chip's fusion frames, by its own oscillator.
+const FRAME: Duration = Duration::from_millis(10);
+
 pub(super) struct ImuSeat<I> {
     pub wiring: ImuWiring,
     pub statistics: Arc<DeviceStatistics>,
@@ -33,6 +36,8 @@ pub(super) struct ImuSeat<I> {
     /// Latest reading that was good, and when a frame last differed from its predecessor.
     last: ImuSample,
     changed: Time,
+    /// Whether the latest turn brought the same frame again.
+    repeated: bool,
     sequence: u32,
 }
 
@@ -51,6 +56,7 @@ impl<I: I2c> ImuSeat<I> {
             recovery: Recovery::new(IMU_LOST_AFTER),
             last: ImuSample::default(),
             changed: now,
+            repeated: false,
             sequence: 0,
         }
     }
@@ -66,11 +72,22 @@ impl<I: I2c> ImuSeat<I> {
         if !self.running {
             self.report_absence();
         }
-        // The phase is kept; turns that have been missed are skipped, not made up for.
-        self.due = self.due + self.wiring.period;
-        if self.due <= clock.now() {
-            self.due = begun.max(clock.now()) + self.wiring.period;
+        self.due = self.next_due(clock.now());
+    }
+
+    /// A sensor read at its own frame rate is followed like a clock: a little too early each time, and when the
+    /// frame has not changed yet, once more soon after. So a reading is 1.5 ms old at most, instead of a frame.
+    /// At other periods the phase is kept; turns that have been missed are skipped, not made up for.
+    fn next_due(&self, now: Time) -> Time {
+        let period = self.wiring.period;
+        if self.running && period == FRAME {
+            if self.repeated {
+                return now + period / 10;
+            }
+            return (self.due + period - period / 32).max(now + period / 10);
         }
+        let due = self.due + period;
+        if due > now { due } else { now + period }
     }
 
     fn read(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
@@ -78,7 +95,9 @@ impl<I: I2c> ImuSeat<I> {
             self.restart(clock.now());
             return;
         };
-        match with_retries(clock, &self.statistics, || driver.read()) {
+        let reading = with_retries(clock, &self.statistics, || driver.read());
+        self.repeated = reading == Ok(Reading::Repeated);
+        match reading {
             Ok(Reading::Fresh(sample)) => {
                 self.statistics.reads.increment();
                 self.recovery.succeeded();
