@@ -26,7 +26,7 @@ pub enum DomainError {
     },
     /// The rotation has undone the fibres' winding: the radius has grown without bound.
     #[error(
-        "fibres unwound: rotation {:.1} deg has come within 1 % of the {:.1} deg at which the winding is undone and the \
+        "fibres unwound: rotation {:.1} deg is beyond 99 % of the {:.1} deg at which the winding is undone and the \
          radius grows without bound", .rotation.to_degrees(), .limit.to_degrees()
     )]
     Unwound {
