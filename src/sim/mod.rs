@@ -1,15 +1,19 @@
 //! The simulated rig: a plant that differs from the controller's model, and chips at register and byte level
 //! that answer the real drivers.
 
+mod assessment;
 mod bench;
 pub mod chips;
+mod closed_loop;
 mod hysteresis;
 mod plant;
 mod regulator;
 mod tip;
 mod valve;
 
+pub use assessment::{Assessment, Move, SETTLING_BAND, assess};
 pub use bench::{BenchConfig, ImuSim, PlantSim, RegulatorSim};
+pub use closed_loop::{ClosedLoop, ClosedLoopError, Controller, Sample};
 pub use hysteresis::MaxwellSlip;
 pub use plant::{Motion, Plant, PlantFault, STEP};
 pub use regulator::{Regulator, Valve};
