@@ -167,12 +167,13 @@ mod tests {
     }
 
     #[test]
-    fn read_as_pi_the_papers_gains_settle_in_a_quarter_of_a_second() {
+    fn read_as_pi_the_papers_gains_settle_within_a_quarter_of_a_second() {
         let (_, outcome) = assess(&plan(paper_steps().unwrap(), 32000.0, 1.2e6, 0.0), 0.01);
         let a = outcome.unwrap();
         assert_eq!(a.moves.len(), 3);
-        println!("{a:#?}");
         for m in &a.moves {
+            // The text of the paper's figure says 0.24 s, of an unstated band; within 2 % it is 0.17 to 0.20 s.
+            assert!(m.settling_time.is_some_and(|t| (0.15..0.25).contains(&t)), "{m:?}");
             assert!((m.reached - m.to).abs() < 1e-6);
         }
     }
