@@ -14,8 +14,11 @@ mod blueprint;
 mod columns;
 mod document;
 mod error;
+mod live;
+mod page;
 mod palette;
 mod recorder;
+mod relay;
 mod rerun_sink;
 mod run;
 mod samples;
@@ -27,6 +30,7 @@ pub use document::{
     RealtimeDocument, Repetition, RunDocument, RunKind, RunResult, StartDocument, StopDocument, sha256,
 };
 pub use error::{RecordError, Result};
+pub use live::{LiveFeed, LiveOptions, LiveView};
 pub use recorder::{RecordOptions, Recorder};
 pub use rerun_sink::APPLICATION_ID;
 pub use run::{DOCUMENT_NAME, REPORT_NAME, RRD_NAME, Run};

@@ -6,12 +6,14 @@
 //! returned at once.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 
 use hdrhistogram::Histogram;
 
 use super::columns::{BatchBuilder, limit_names};
 use super::document::{FaultDocument, LoopDocument, StartDocument, StopDocument};
+use super::live::LiveFeed;
 use super::rerun_sink::RerunFile;
 use super::run::{Run, now};
 use super::samples::SampleWriter;
@@ -26,13 +28,15 @@ pub struct RecordOptions {
     pub truth: bool,
     /// Whether `run.rrd` is written for rerun's viewer.
     pub rrd: bool,
+    /// Where the live view is fed, if it is to show this run.
+    pub live: Option<LiveFeed>,
     /// Length of a batch.
     pub batch: Duration,
 }
 
 impl Default for RecordOptions {
     fn default() -> Self {
-        Self { truth: false, rrd: true, batch: Duration::from_millis(100) }
+        Self { truth: false, rrd: true, live: None, batch: Duration::from_millis(100) }
     }
 }
 
@@ -45,6 +49,8 @@ pub struct Recorder {
     samples: SampleWriter,
     rerun: Option<RerunFile>,
     rerun_error: String,
+    live: Option<(LiveFeed, Arc<StartDocument>)>,
+    truth: bool,
     watch: Watch,
 }
 
@@ -61,16 +67,17 @@ impl Recorder {
             true => Some(RerunFile::create(&run.folder, run.start(), options.truth)?),
             false => None,
         };
-        let watch = Watch::new()?;
         Ok(Self {
-            run,
             batch,
             batch_length: options.batch,
             batch_start: Time::ZERO,
             samples,
             rerun,
             rerun_error: String::new(),
-            watch,
+            live: options.live.map(|feed| (feed, Arc::new(run.start().clone()))),
+            truth: options.truth,
+            watch: Watch::new()?,
+            run,
         })
     }
 
@@ -115,6 +122,9 @@ impl Recorder {
             tracing::error!(run = self.run.id(), %error, "run.rrd ends here; the samples go on");
             self.rerun_error = error.to_string();
             self.rerun = None;
+        }
+        if let Some((feed, start)) = &self.live {
+            feed.offer(start, self.truth, batch);
         }
         Ok(())
     }

@@ -36,7 +36,7 @@ impl Run {
     /// Where the folder cannot be made.
     pub fn create(runs: &Path, mut start: StartDocument) -> Result<Self> {
         fs::create_dir_all(runs).map_err(RecordError::io(runs))?;
-        let now = Zoned::now();
+        let mut now = Zoned::now();
         if start.started.is_empty() {
             start.started = rfc3339(&now);
         }
@@ -68,7 +68,7 @@ impl Run {
                     let _ = hidden.keep();
                     return Ok(Run { folder, ..run });
                 }
-                // Somebody else has this very id: try the next one.
+                // Somebody else has this very millisecond: take a later one.
                 Err(e)
                     if matches!(
                         e.kind(),
@@ -76,6 +76,7 @@ impl Run {
                     ) =>
                 {
                     document = run.document;
+                    now = Zoned::now();
                 }
                 Err(e) => return Err(RecordError::Io { path: folder, source: e }),
             }
@@ -216,14 +217,13 @@ fn rfc3339(time: &Zoned) -> String {
     time.strftime("%Y-%m-%dT%H:%M:%S%.3f%:z").to_string()
 }
 
-/// `20260314-151500-step-paper-3f9a`: sorts by time (UTC), says what it is, and is unique.
+/// `20260314-151500.123-step-paper`: sorts by time (UTC, to the millisecond), and says what it is.
 fn new_id(now: &Zoned, start: &StartDocument) -> String {
-    let time = now.with_time_zone(jiff::tz::TimeZone::UTC).strftime("%Y%m%d-%H%M%S").to_string();
-    let suffix: u16 = rand::random();
+    let time = now.with_time_zone(jiff::tz::TimeZone::UTC).strftime("%Y%m%d-%H%M%S%.3f").to_string();
     let subject: String =
         start.subject.chars().map(|c| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' }).collect();
     let subject = if subject.is_empty() { "all".into() } else { subject };
-    format!("{time}-{}-{subject}-{suffix:04x}", start.kind.name())
+    format!("{time}-{}-{subject}", start.kind.name())
 }
 
 /// Ids of the runs in `runs`, sorted.
@@ -252,7 +252,7 @@ mod tests {
         let a = Run::create(runs.path(), start("a/../b")).unwrap();
         let b = Run::create(runs.path(), start("paper")).unwrap();
         assert_ne!(a.id(), b.id());
-        assert!(!a.id().contains('/') && !a.id().contains('.'), "{}", a.id());
+        assert!(!a.id().contains('/') && !a.id().contains(".."), "{}", a.id());
         assert_eq!(Run::find(runs.path(), a.id()).unwrap(), a);
         assert_eq!(Run::find(runs.path(), b.folder.to_str().unwrap()).unwrap(), b);
         assert!(matches!(Run::find(runs.path(), "20"), Err(RecordError::Ambiguous { .. })));

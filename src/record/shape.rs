@@ -43,8 +43,8 @@ impl Pose {
     /// The fibres, each a line of points, in metres.
     pub fn fibers(&self, free: &Free) -> Vec<Vec<[f32; 3]>> {
         let winding = (free.length * free.gamma.tan() / free.radius + self.angle) as f32;
-        // Just outside the tube, so that the tube does not hide them.
-        let radius = self.radius as f32 * 1.01;
+        // Outside the tube by more than the flatness of its sides, so that it does not hide them.
+        let radius = self.radius as f32 * 1.035;
         (0..FIBERS)
             .map(|fiber| {
                 let start = TAU * fiber as f32 / FIBERS as f32;

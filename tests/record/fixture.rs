@@ -4,7 +4,9 @@ use std::path::Path;
 
 use freerig::clock::Time;
 use freerig::model::{Feedback, Free, Kinematics, Law, Load, Lumped, LumpedState};
-use freerig::record::{FreeDocument, GainsDocument, LimitsDocument, RecordOptions, Recorder, RunKind, StartDocument};
+use freerig::record::{
+    FreeDocument, GainsDocument, LimitsDocument, LiveFeed, RecordOptions, Recorder, RunKind, StartDocument,
+};
 use freerig::signal::{
     FaultCode, ImuHealth, LimitSet, PressureSample, Quantity, RegulatorHealth, State, TickRecord, Truth,
 };
@@ -63,11 +65,22 @@ pub fn start(kind: RunKind, names: &[&str]) -> StartDocument {
 }
 
 /// Runs `program` and records it; 0.7 s before it and 0.2 s after it. The FREE is 3 % softer than its model.
-pub fn run(runs: &Path, mut start: StartDocument, program: &Program, seed: u64) -> Recorder {
+pub fn run(runs: &Path, start: StartDocument, program: &Program, seed: u64) -> Recorder {
+    run_live(runs, start, program, seed, None)
+}
+
+/// The same, shown by a live view.
+pub fn run_live(
+    runs: &Path,
+    mut start: StartDocument,
+    program: &Program,
+    seed: u64,
+    live: Option<LiveFeed>,
+) -> Recorder {
     let gains = start.frees[0].gains;
     start.program = Some(program.clone());
-    let mut recorder =
-        Recorder::create(runs, start, RecordOptions { truth: true, ..RecordOptions::default() }).unwrap();
+    let options = RecordOptions { truth: true, live, ..RecordOptions::default() };
+    let mut recorder = Recorder::create(runs, start, options).unwrap();
     let real = Free { torsional_stiffness: 0.97 * Free::paper().torsional_stiffness, ..Free::paper() };
     let plant = Lumped::new(real, Law::Nonlinear(Kinematics::Exact)).unwrap();
     let mut state = LumpedState::default();
