@@ -2,16 +2,19 @@
 //! allocation after construction, no async. The same code runs live, on the stepped clock and in replay.
 
 pub mod controller;
+pub mod design;
 pub mod estimator;
 pub mod fault;
 pub mod feedforward;
 pub mod interlocks;
 pub mod lifecycle;
+pub mod margin;
 pub mod pid;
 pub mod refusal;
 pub mod replay;
 
 pub use controller::{ControlError, Controller};
+pub use design::default_gains;
 pub use fault::{FirstErrors, MATRIX, Reaction};
 
 use std::sync::Arc;
