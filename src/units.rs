@@ -145,7 +145,7 @@ quantity!(
 );
 quantity!(
     /// Duration as a real number; may be negative in arithmetic, never where a duration is asked. SI: s.
-    Seconds, "time", seconds,
+    Seconds, "time", of,
     [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("min", 60.0), ("h", 3600.0)]
 );
 quantity!(

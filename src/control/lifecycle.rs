@@ -404,8 +404,7 @@ impl Step {
                     self.phase = Phase::Faulted(Venting { since: now, verified }, *latched);
                 }
             }
-            // A vent shows for one tick at least, even of a FREE that is empty already.
-            Phase::Faulting(Faulting::Vent(venting, latched)) if venting.since != now => {
+            Phase::Faulting(Faulting::Vent(venting, latched)) => {
                 let verified = sight.vented == Vented::Yes;
                 if verified || late(venting.since) {
                     if unvented {

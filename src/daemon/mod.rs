@@ -1,6 +1,25 @@
-//! The daemon: supervisor, control socket, procedures; joins the real-time loop, control and hardware or sim.
+//! The daemon: life cycle, control socket, procedures; joins the real-time loop, control and hardware or sim.
+//!
+//! [`Live`] is the rig in real time, [`Stepped`] the simulated rig on the stepped clock; both run the same tick,
+//! owners, drivers and chips, and a procedure sees either as a [`Bench`].
 
 pub mod api;
+mod bench;
+mod error;
+pub mod experiment;
 mod handle;
+mod join;
+mod live;
+mod margin;
+pub mod procedure;
+mod pump;
+mod stepped;
+mod tick;
 
+pub use bench::Bench;
+pub use error::{DaemonError, names};
 pub use handle::{Call, Desk, Handle, LastHeard, desk};
+pub use live::{FreeDevices, Live, LiveBench, is_vented};
+pub use pump::{Change, Pump};
+pub use stepped::Stepped;
+pub use tick::Switches;

@@ -19,10 +19,13 @@ pub mod serial;
 pub mod serial_line;
 pub mod serial_owner;
 mod statistics;
+mod valve_owner;
 pub mod wiring;
 
 pub use error::HardwareError;
 pub use i2c_owner::{I2cOwner, I2cPorts};
 pub use imu::{Identity, Implausible, Imu, Reading};
 pub use regulator::PressureRegulator;
+pub use serial_owner::SerialOwner;
 pub use statistics::{Counter, DeviceStatistics};
+pub use valve_owner::{DumpValve, ValveOwner};

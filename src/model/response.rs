@@ -109,7 +109,12 @@ mod tests {
         assert_eq!(of(&[0.0, 1.0], &[0.0]).unwrap_err(), ResponseError::Lengths { times: 2, pressures: 1 });
         assert_eq!(of(&[0.0, 1.0, 1.0], &[0.0; 3]).unwrap_err(), ResponseError::Sample(2));
         assert_eq!(of(&[0.0, 1.0], &[0.0, f64::NAN]).unwrap_err(), ResponseError::Sample(1));
-        let steep = response(&Free { gamma: -0.5236, ..Free::paper() }, Kinematics::Exact, &[0.0, 9.0], &[4.2e4; 2]);
+        let steep = response(
+            &Free { gamma: -std::f64::consts::FRAC_PI_6, ..Free::paper() },
+            Kinematics::Exact,
+            &[0.0, 9.0],
+            &[4.2e4; 2],
+        );
         let error = steep.unwrap_err().to_string();
         assert!(error.contains("fibres unwound"), "{error}");
     }

@@ -28,4 +28,4 @@ mod schedule;
 
 pub use histogram::{Histogram, Snapshot};
 pub use periodic::{Error, Handle, Realtime, Statistics, Timing, run, spawn};
-pub use rights::{Refusal, Rights};
+pub use rights::{Refusal, Rights, fifo};

@@ -62,7 +62,11 @@ const NOT_ASKED: &str = "not asked for";
 const ASK: &str = "ask for it where the loop is configured";
 
 /// SCHED_FIFO for the calling thread. Without it at least the timer slack of the ordinary scheduler (50 us) goes.
-pub(super) fn fifo(priority: Option<u8>) -> Result<u8, Refusal> {
+///
+/// # Errors
+///
+/// The system's refusal, with its remedy; the thread goes on with the ordinary scheduler.
+pub fn fifo(priority: Option<u8>) -> Result<u8, Refusal> {
     let refused = |right: String, reason: String, remedy| {
         // Fails only where /proc is mounted oddly, and then nothing is lost but those 50 us.
         set_current_timer_slack(NonZeroU64::new(1)).ok();
@@ -73,7 +77,7 @@ pub(super) fn fifo(priority: Option<u8>) -> Result<u8, Refusal> {
     };
     let right = || format!("SCHED_FIFO at priority {priority}");
     let value = thread_priority::ThreadPriorityValue::try_from(priority)
-        .map_err(|e| refused(right(), e.into(), "choose a priority of 1..=99"))?;
+        .map_err(|e| refused(right(), e, "choose a priority of 1..=99"))?;
     set_thread_priority_and_policy(
         thread_native_id(),
         ThreadPriority::Crossplatform(value),

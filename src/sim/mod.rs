@@ -8,6 +8,7 @@ mod closed_loop;
 mod hysteresis;
 mod plant;
 mod regulator;
+mod rig;
 mod tip;
 mod valve;
 
@@ -15,7 +16,8 @@ pub use assessment::{Assessment, Move, SETTLING_BAND, assess};
 pub use bench::{BenchConfig, ImuSim, PlantSim, RegulatorSim};
 pub use closed_loop::{ClosedLoop, ClosedLoopError, Controller, Sample};
 pub use hysteresis::MaxwellSlip;
-pub use plant::{Motion, Plant, PlantFault, STEP};
+pub use plant::{Plant, PlantFault, STEP};
 pub use regulator::{Regulator, Valve};
+pub use rig::{SimDumpValve, SimRig};
 pub use tip::{HardStop, Tip};
 pub use valve::DumpValve;

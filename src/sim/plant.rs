@@ -14,6 +14,7 @@ use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
+use super::chips::Orientation;
 use super::regulator::{Regulator, Valve};
 use super::tip::{HardStop, Tip, loop_friction};
 use super::valve::DumpValve;
@@ -51,17 +52,6 @@ enum Event {
     Setpoint(usize, f64),
     Dump(bool),
     Fault(PlantFault),
-}
-
-/// Motion of a FREE's end, as a sensor fixed to it sees it. The sensor's z is the FREE's axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Motion {
-    /// Sensor to world, unit quaternion (w, x, y, z).
-    pub quaternion: [f64; 4],
-    /// Angular rate in the sensor's frame, rad/s.
-    pub rate: [f64; 3],
-    /// Acceleration in the sensor's frame without gravity, m/s2.
-    pub acceleration: [f64; 3],
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -126,6 +116,13 @@ impl Plant {
         }
     }
 
+    /// The same rig, at rest until `time`: a live clock's epoch lies far back.
+    #[must_use]
+    pub fn starting_at(mut self, time: Time) -> Self {
+        self.step = grid(time);
+        self
+    }
+
     /// How many FREEs there are.
     pub fn free_count(&self) -> usize {
         self.branches.len()
@@ -177,11 +174,15 @@ impl Plant {
         (pressure + noise).min(1.1 * spec.full_scale)
     }
 
-    /// Motion of a FREE's end at `time`, by interpolation between the remembered states (2 s of them).
-    pub fn orientation(&mut self, free: usize, time: Time) -> Motion {
+    /// Motion of a FREE's end at `time`, as a sensor fixed to it with its z along the FREE sees it, by interpolation between the remembered states (2 s of them).
+    pub fn orientation(&mut self, free: usize, time: Time) -> Orientation {
         let s = self.at(free, time);
         let (sin, cos) = (0.5 * s.angle).sin_cos();
-        Motion { quaternion: [cos, 0.0, 0.0, sin], rate: [0.0, 0.0, s.rate], acceleration: [0.0, 0.0, s.acceleration] }
+        Orientation {
+            quaternion: [cos, 0.0, 0.0, sin],
+            rate: [0.0, 0.0, s.rate],
+            acceleration: [0.0, 0.0, s.acceleration],
+        }
     }
 
     /// What a FREE really does at `time`.
@@ -260,7 +261,9 @@ impl Branch {
             pressure: 0.0,
             memory: vec![Snapshot::default(); MEMORY],
         };
-        branch.remember(0, 0.0);
+        for slot in 0..MEMORY {
+            branch.remember(slot, 0.0);
+        }
         branch
     }
 

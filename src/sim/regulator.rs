@@ -38,7 +38,8 @@ impl Regulator {
 
     /// The set-point that the valve now follows (after the dead time), Pa; clipped to 0..=full scale.
     pub fn set(&mut self, setpoint: f64) {
-        self.setpoint = setpoint.clamp(0.0, self.spec.full_scale);
+        // What is no number counts as zero.
+        self.setpoint = setpoint.max(0.0).min(self.spec.full_scale);
     }
 
     /// Pressure one step of `dt` (s) after `pressure`, Pa, fed from `supply`, Pa. `exhaust` is the time constant

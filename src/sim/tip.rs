@@ -1,14 +1,10 @@
 //! The moving end of a simulated FREE: nonlinear lumped dynamics (Eqs 1-4, exact inextensible-fibre radius),
 //! gravity, an external moment, Maxwell-slip friction, and hard stops where the model's domain would end.
 
-use std::f64::consts::PI;
-
 use super::hysteresis::MaxwellSlip;
-use crate::model::Free;
+use crate::model::{Free, GRAVITY, Kinematics};
 use crate::units::PASCAL_PER_PSI;
 
-/// Standard gravity as the paper takes it, m/s2.
-const GRAVITY: f64 = 9.81;
 /// Top of the cycle for which the hysteresis loop's width is stated, Pa.
 const CYCLE_TOP: f64 = 7.0 * PASCAL_PER_PSI;
 /// Pressure steps of one half-cycle in the quasi-static loop.
@@ -134,19 +130,16 @@ impl Tip {
         [v, (force - f.axial_damping * v) / f.mass, rate, (moment - f.torsional_damping * rate) / f.inertia]
     }
 
-    /// Force (N) and moment (N m) on the end at rest at (`s`, `angle`); positions are taken within the stops.
+    /// Force (N) and moment (N m) on the end at rest at (`s`, `angle`); positions are taken within the stops, which
+    /// lie within the kinematics' domain.
     fn balance(&self, s: f64, angle: f64, pressure: f64) -> (f64, f64) {
         let f = &self.free;
         let s = s.clamp(self.extension_stops.0, self.extension_stops.1);
         let angle = angle.clamp(self.angle_stops.0, self.angle_stops.1);
-        let cos = (1.0 + s / f.length) * f.gamma.cos();
-        let sin = ((1.0 - cos) * (1.0 + cos)).sqrt().copysign(f.gamma);
-        let cot = cos / sin;
-        let r = (f.length + s) * sin / cos / (f.length * f.gamma.tan() / f.radius + angle);
-        let thrust = PI * r * r * pressure;
+        let actuation = Kinematics::Exact.actuation(f, s, angle).map_or((0.0, 0.0), |a| (a.force, a.moment));
         (
-            thrust * (1.0 - 2.0 * cot * cot) - f.axial_stiffness * s + f.mass * GRAVITY,
-            -2.0 * thrust * r * cot - f.torsional_stiffness * angle + self.load + self.friction.moment(angle),
+            actuation.0 * pressure - f.axial_stiffness * s + f.mass * GRAVITY,
+            actuation.1 * pressure - f.torsional_stiffness * angle + self.load + self.friction.moment(angle),
         )
     }
 

@@ -2,16 +2,22 @@
 //!
 //! A test or a procedure holds a [`Mischief`] of each chip, and makes it misbehave while everything runs.
 
+mod alicat;
 mod bno055;
 mod i2c;
+mod line;
 mod mcp4728;
+mod pty;
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+pub use alicat::AlicatChip;
 pub use bno055::{Bno055Chip, Bno055Sim, Motion, Orientation};
 pub use i2c::{I2cChip, Nak, SimI2c, SimI2cError};
+pub use line::{MemoryStream, SerialLine};
 pub use mcp4728::{DacRegister, Mcp4728Chip, VoltageSink};
+pub use pty::Pty;
 
 /// Ways in which a chip can go wrong.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -1,0 +1,48 @@
+//! What a procedure needs of the rig, be it live or stepped.
+
+use std::time::Duration;
+
+use crate::clock::Time;
+use crate::control::Request;
+use crate::record::Recorder;
+use crate::signal::TickRecord;
+
+use super::{DaemonError, Pump};
+
+/// A rig whose loop runs. Procedures (experiments, calibrations) are written against this, once for both clocks.
+pub trait Bench {
+    /// The rig's time.
+    fn now(&self) -> Time;
+
+    /// Hands `request` to the next tick that takes one.
+    ///
+    /// # Errors
+    /// If too many requests wait already, or the loop has ended.
+    fn request(&mut self, request: Request) -> Result<(), DaemonError>;
+
+    /// Lets `duration` pass.
+    ///
+    /// # Errors
+    /// If the loop has ended.
+    fn pass(&mut self, duration: Duration) -> Result<(), DaemonError>;
+
+    /// Tells the loop that the client that watches the program is there.
+    fn heartbeat(&mut self);
+
+    /// Looks into what the loop reports.
+    fn with_pump<R>(&mut self, look: impl FnOnce(&mut Pump) -> R) -> R
+    where
+        Self: Sized;
+
+    /// The latest record.
+    fn latest(&mut self) -> TickRecord;
+
+    /// Records everything from here on.
+    fn attach(&mut self, recorder: Recorder);
+
+    /// Ends the recording.
+    ///
+    /// # Errors
+    /// The error that ended it before.
+    fn detach(&mut self) -> Result<Option<Recorder>, DaemonError>;
+}

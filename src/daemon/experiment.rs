@@ -1,0 +1,272 @@
+//! Experiments on an armed rig, live or stepped: record, start, watch, finish, take the pressures down again.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::error::DaemonError;
+use super::procedure::{LOOK, Refusals, refused};
+use super::{Bench, margin};
+use crate::config::Rig;
+use crate::config::experiment::{Experiment, Kind};
+use crate::control::{Gains, Request};
+use crate::record::{
+    Backend, RealtimeDocument, RecordOptions, Recorder, Repetition, Run, RunKind, RunResult, StartDocument,
+    StopDocument, sha256,
+};
+use crate::signal::{FaultSet, FreeTick, Quantity, State, TickRecord};
+use crate::trajectory::{Axis, Program, Segment, Sequence, Shape};
+
+/// Beyond the ramp and vent times, how long a fault's reaction is recorded.
+const AFTERMATH: Duration = Duration::from_secs(3);
+/// After the way back to zero pressure, how long the FREEs are given to come to rest, s.
+const REST: f64 = 1.0;
+
+/// Whose presence the experiment depends on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Attendance {
+    /// Nobody's (`--detach`).
+    Detached,
+    /// The procedure's own: it runs where the client runs.
+    Here,
+    /// A client's, who is heard over the control socket.
+    Remote,
+}
+
+/// What to run.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// Kind of experiment.
+    pub kind: RunKind,
+    /// What a person calls it.
+    pub title: String,
+    /// Index of the FREE it is about.
+    pub subject: usize,
+    /// What is asked of every FREE.
+    pub program: Arc<Program>,
+    /// Other gains for the subject than the rig's, with their name.
+    pub gains: Option<(String, Gains)>,
+    /// The user's note.
+    pub note: String,
+    /// How many times, at least once.
+    pub repeats: u32,
+    /// Whose presence it depends on.
+    pub attendance: Attendance,
+    /// Gains with a margin below the stated one have been accepted.
+    pub accept_margin: bool,
+    /// On the stepped clock.
+    pub stepped: bool,
+    /// Take the pressures down after each run; by hand they stay.
+    pub and_back: bool,
+}
+
+impl Job {
+    /// The job of an experiment.
+    pub fn new(experiment: Experiment, attendance: Attendance) -> Self {
+        let kind = match experiment.kind {
+            Kind::Step => RunKind::Step,
+            Kind::Trajectory => RunKind::Trajectory,
+            Kind::Sweep => RunKind::Sweep,
+        };
+        Self {
+            kind,
+            title: experiment.name,
+            subject: experiment.subject,
+            program: Arc::new(experiment.program),
+            gains: experiment.gains,
+            note: experiment.note,
+            repeats: experiment.repeat.max(1),
+            attendance,
+            accept_margin: false,
+            stepped: false,
+            and_back: true,
+        }
+    }
+}
+
+/// What a job is doing.
+#[derive(Clone, Copy, Debug)]
+pub struct Progress<'a> {
+    /// In a few words.
+    pub phase: &'static str,
+    /// Id and folder of the run under way.
+    pub run: (&'a str, &'a Path),
+    /// Which repetition, from 1.
+    pub repeat: u32,
+    /// Time since the program's start, s.
+    pub elapsed: f64,
+    /// Duration of the program, s.
+    pub duration: f64,
+    /// The latest record.
+    pub record: &'a TickRecord,
+}
+
+/// Runs `job` on an armed `bench` as often as it says; returns its runs. A run that a fault, a refusal or the user
+/// ended is the last, and stands in the list with its result.
+///
+/// # Errors
+/// Where the gains have no margin, or the record cannot be written.
+pub fn run<B: Bench>(
+    bench: &mut B,
+    rig: &Rig,
+    job: &Job,
+    watch: &mut dyn FnMut(&Progress<'_>),
+) -> Result<Vec<Run>, DaemonError> {
+    let own = rig.control.frees.get(job.subject).map(|f| f.gains);
+    if let Some((_, gains)) = job.gains {
+        if !job.accept_margin {
+            margin::check_gains(&rig.control, job.subject, gains)?;
+        }
+        bench.request(Request::Gains { free: job.subject, gains })?;
+    }
+    let mut runs: Vec<Run> = Vec::new();
+    for repeat in 1..=job.repeats {
+        let repetition = (job.repeats > 1).then(|| Repetition {
+            group: runs.first().map(|r| r.id().to_owned()).unwrap_or_default(),
+            index: repeat,
+            of: job.repeats,
+        });
+        let run = once(bench, rig, job, repeat, repetition, watch)?;
+        let done = run.stop().is_some_and(|s| s.result == RunResult::Done);
+        runs.push(run);
+        if !done {
+            break;
+        }
+    }
+    if let (Some(gains), Some(_)) = (own, &job.gains) {
+        bench.request(Request::Gains { free: job.subject, gains })?;
+    }
+    Ok(runs)
+}
+
+fn once<B: Bench>(
+    bench: &mut B,
+    rig: &Rig,
+    job: &Job,
+    repeat: u32,
+    repetition: Option<Repetition>,
+    watch: &mut dyn FnMut(&Progress<'_>),
+) -> Result<Run, DaemonError> {
+    let options = RecordOptions { truth: rig.is_simulated(), ..RecordOptions::default() };
+    let recorder = Recorder::create(&rig.record.directory, document(bench, rig, job, repetition), options)?;
+    let (id, folder) = (recorder.id().to_owned(), recorder.folder().to_owned());
+    let mut tell = |phase, record: &TickRecord| {
+        let elapsed = if record.program_time.is_finite() { record.program_time } else { 0.0 };
+        watch(&Progress { phase, run: (&id, &folder), repeat, elapsed, duration: job.program.duration, record });
+    };
+    let lost_before = bench.with_pump(|p| p.lost_records());
+    bench.attach(recorder);
+    let result = drive(bench, rig, &job.program, job.attendance, &mut |record| tell("running", record));
+    let recorder = bench.detach();
+    let lost_records = bench.with_pump(|p| p.lost_records()) - lost_before;
+    let (result, message) = match &result {
+        Ok(RunResult::Done) => (RunResult::Done, String::new()),
+        Ok(result) => (*result, "stopped before its end".into()),
+        Err(error) => {
+            let result = if error.is_rig_fault() { RunResult::Fault } else { RunResult::Failed };
+            (result, format!("{error}. {}", error.remedy()))
+        }
+    };
+    let recorder = recorder?.ok_or_else(|| DaemonError::Unfit("another procedure took the recording away".into()))?;
+    let run = recorder.finish(StopDocument { result, message, lost_records, ..StopDocument::default() })?;
+    if result == RunResult::Done && job.and_back {
+        let back = Arc::new(back_to_zero(&bench.latest(), rig)?);
+        drive(bench, rig, &back, job.attendance, &mut |record| tell("taking the pressures down", record))?;
+    }
+    Ok(run)
+}
+
+/// Starts `program` and watches it to its end.
+fn drive<B: Bench>(
+    bench: &mut B,
+    rig: &Rig,
+    program: &Arc<Program>,
+    attendance: Attendance,
+    watch: &mut dyn FnMut(&TickRecord),
+) -> Result<RunResult, DaemonError> {
+    let attended = attendance != Attendance::Detached;
+    let mut refusals = Refusals::new(bench);
+    if attendance == Attendance::Here {
+        bench.heartbeat();
+    }
+    bench.request(Request::Start { program: Arc::clone(program), attended, identify: false })?;
+    let mut reached = 0.0_f64;
+    let mut started = false;
+    loop {
+        bench.pass(LOOK)?;
+        if attendance == Attendance::Here {
+            bench.heartbeat();
+        }
+        if let Some(refusal) = refusals.next(bench) {
+            return Err(refused(refusal, rig));
+        }
+        let latest = bench.latest();
+        watch(&latest);
+        if latest.program_time.is_finite() {
+            started = true;
+            reached = reached.max(latest.program_time);
+        }
+        match latest.state {
+            State::Track | State::Identify => {}
+            State::Faulting if latest.latched.is_empty() => {}
+            State::Faulting | State::Faulted => return Err(aftermath(bench, rig, latest.latched)?),
+            _ if started => {
+                let whole = reached + 3.0 * LOOK.as_secs_f64() >= program.duration;
+                return Ok(if whole { RunResult::Done } else { RunResult::Aborted });
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Lets the reaction to a latched fault run to its end.
+fn aftermath<B: Bench>(bench: &mut B, rig: &Rig, latched: FaultSet) -> Result<DaemonError, DaemonError> {
+    let end = bench.now() + rig.control.ramp_time + rig.control.vent_time + AFTERMATH;
+    while bench.latest().state == State::Faulting && bench.now() < end {
+        bench.pass(LOOK)?;
+    }
+    Ok(DaemonError::Fault(latched.union(bench.latest().latched)))
+}
+
+/// From the present commands to zero within the ramp time, and a rest.
+fn back_to_zero(record: &TickRecord, rig: &Rig) -> Result<Program, DaemonError> {
+    let ramp = rig.control.ramp_time.as_secs_f64();
+    let axis = |(free, tick): (usize, &FreeTick)| {
+        pressure_axis(&[(ramp, tick.command, 0.0), (REST, 0.0, 0.0)]).map(|axis| (free, axis))
+    };
+    let axes: Vec<_> = record.frees().iter().enumerate().map(axis).collect::<Result<_, _>>()?;
+    Program::new(axes).map_err(|e| DaemonError::Unfit(e.to_string()))
+}
+
+/// A pressure axis of linear pieces: (duration in s, from and to in Pa).
+pub(super) fn pressure_axis(pieces: &[(f64, f64, f64)]) -> Result<Axis, DaemonError> {
+    let segment = |&(duration, from, to): &(f64, f64, f64)| Segment { duration, from, to, shape: Shape::Linear };
+    let segments: Vec<_> = pieces.iter().map(segment).collect();
+    let sequence = Sequence::new(segments).map_err(|e| DaemonError::Unfit(e.to_string()))?;
+    Ok(Axis { quantity: Quantity::Pressure, sequence })
+}
+
+fn document<B: Bench>(bench: &mut B, rig: &Rig, job: &Job, repetition: Option<Repetition>) -> StartDocument {
+    let mut start = StartDocument::new(job.kind, &rig.control);
+    start.title = job.title.clone();
+    start.note = job.note.clone();
+    start.subject = rig.control.frees.get(job.subject).map(|f| f.name.clone()).unwrap_or_default();
+    start.backend = if rig.is_simulated() { Backend::Sim } else { Backend::Linux };
+    start.stepped = job.stepped;
+    start.seed = rig.is_simulated().then_some(rig.bench.seed);
+    start.repetition = repetition;
+    start.program = Some((*job.program).clone());
+    start.rig_sha256 = rig.files.first().map(|f| sha256(f.text.as_bytes())).unwrap_or_default();
+    start.realtime = RealtimeDocument {
+        granted: bench.latest().realtime && !job.stepped,
+        detail: if job.stepped { "stepped clock".into() } else { String::new() },
+    };
+    for (free, calibration) in start.frees.iter_mut().zip(rig.files.iter().skip(1)) {
+        free.calibration_sha256 = sha256(calibration.text.as_bytes());
+    }
+    if let (Some((name, gains)), Some(free)) = (&job.gains, start.frees.get_mut(job.subject)) {
+        free.preset = name.clone();
+        free.gains = (*gains).into();
+    }
+    start
+}

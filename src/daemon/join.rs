@@ -1,0 +1,98 @@
+//! Joins tick, pump and bus owners by their slots and rings.
+
+use std::sync::{Arc, Mutex};
+
+use rtrb::{Producer, RingBuffer};
+use triple_buffer::{Input, Output, triple_buffer};
+
+use super::tick::{Switches, Tick};
+use super::{DaemonError, Pump};
+use crate::config::Rig;
+use crate::control::{Controller, Request};
+use crate::hardware::I2cPorts;
+use crate::signal::{Command, ImuSample, MAX_FREES, PressureSample};
+use crate::sim::Plant;
+
+/// Records that the ring holds: 8 s at 500 Hz, so that a stall of the recorder loses none.
+const RECORDS: usize = 4096;
+/// Requests that may wait for the tick, one of which it takes at a time.
+const REQUESTS: usize = 16;
+
+/// The ends of every slot and ring, to be handed out.
+pub struct Joints {
+    /// For the loop.
+    pub tick: Tick,
+    /// For everybody who wants to know.
+    pub pump: Pump,
+    /// For the supervisor.
+    pub requests: Producer<Request>,
+    /// Switches that the tick reads.
+    pub switches: Arc<Switches>,
+    /// By I2C bus of the wiring.
+    pub i2c: Vec<I2cPorts>,
+    /// By serial line of the wiring: the command, and a slot for each unit.
+    pub serial: Vec<(Output<Command>, Vec<Input<PressureSample>>)>,
+    /// For the owner of the dump valve, where one is fitted.
+    pub valve: Option<Output<Command>>,
+}
+
+/// Makes the joints of `rig`; `plant` is the simulated one, asked for the truth; `switches` brings the emergency
+/// stop and the heartbeat of whoever is in command.
+///
+/// # Errors
+/// If the controller cannot be built.
+pub fn join(rig: &Rig, plant: Option<Arc<Mutex<Plant>>>, switches: Switches) -> Result<Joints, DaemonError> {
+    let switches = Arc::new(switches);
+    let mut commands = Vec::new();
+    let mut command = || {
+        let (input, output) = triple_buffer(&Command::default());
+        commands.push(input);
+        output
+    };
+    let mut imu: [Option<Output<ImuSample>>; MAX_FREES] = Default::default();
+    let mut pressure: [Option<Output<PressureSample>>; MAX_FREES] = Default::default();
+    let mut pressure_slot = |free: usize| {
+        let (input, output) = triple_buffer(&PressureSample { pressure: f64::NAN, ..PressureSample::default() });
+        if let Some(slot) = pressure.get_mut(free) {
+            *slot = Some(output);
+        }
+        input
+    };
+    let mut i2c = Vec::new();
+    for bus in &rig.wiring.i2c {
+        let mut ports = I2cPorts { command: command(), imu: Vec::new(), pressure: Vec::new() };
+        for &free in bus.imus.iter().flat_map(|i| &i.frees) {
+            let (input, output) = triple_buffer(&ImuSample::default());
+            if let Some(slot) = imu.get_mut(free) {
+                *slot = Some(output);
+            }
+            ports.imu.push((free, input));
+        }
+        for channel in bus.dacs.iter().flat_map(|d| d.channels.iter().flatten()) {
+            ports.pressure.push((channel.free, pressure_slot(channel.free)));
+        }
+        i2c.push(ports);
+    }
+    let serial = rig
+        .wiring
+        .serial
+        .iter()
+        .map(|line| (command(), line.units.iter().map(|unit| pressure_slot(unit.free)).collect()))
+        .collect();
+    let valve = rig.control.dump_valve.then(&mut command);
+    let (record_in, record_out) = RingBuffer::new(RECORDS);
+    let (request_in, request_out) = RingBuffer::new(REQUESTS);
+    let (retired_in, retired_out) = RingBuffer::new(REQUESTS);
+    let tick = Tick {
+        controller: Controller::new(&rig.control)?,
+        imu,
+        pressure,
+        commands,
+        requests: request_out,
+        records: record_in,
+        retired: retired_in,
+        switches: Arc::clone(&switches),
+    };
+    let pump = Pump::new(record_out, retired_out, Arc::clone(&switches), plant);
+    Ok(Joints { tick, pump, requests: request_in, switches, i2c, serial, valve })
+}

@@ -1,0 +1,340 @@
+//! The rig in real time: one thread for each bus, the real-time thread, and the pump's.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use rtrb::Producer;
+
+use super::join::{Joints, join};
+use super::stepped::{axes, detached, lock};
+use super::tick::Switches;
+use super::{Bench, DaemonError, Pump};
+use crate::clock::{Clock, Time};
+use crate::config::Rig;
+use crate::control::Request;
+use crate::hardware::{DeviceStatistics, I2cOwner, SerialOwner, ValveOwner, i2c, serial};
+use crate::record::Recorder;
+use crate::rt;
+use crate::signal::TickRecord;
+use crate::sim::SimRig;
+use crate::sim::chips::Pty;
+
+/// How often the pump takes what waits in the rings.
+const PUMP_PERIOD: Duration = Duration::from_millis(20);
+/// Bus owners stand this far below the tick on the FIFO scale.
+const BELOW_THE_TICK: u8 = 10;
+
+/// What a device of one FREE has counted.
+#[derive(Clone, Debug, Default)]
+pub struct FreeDevices {
+    /// Its IMU.
+    pub imu: Option<Arc<DeviceStatistics>>,
+    /// Its regulator.
+    pub regulator: Option<Arc<DeviceStatistics>>,
+}
+
+/// A running rig. Dropping it without [`Live::stop`] ends the tick first; the bus owners then command zero and
+/// open the dump valve.
+pub struct Live {
+    bench: LiveBench,
+    tick: Option<rt::Handle>,
+    /// Owners of the buses and of the valve.
+    owners: Vec<JoinHandle<()>>,
+    pump: Option<JoinHandle<()>>,
+    stop_owners: Arc<AtomicBool>,
+    stop_pump: Arc<AtomicBool>,
+    devices: Vec<FreeDevices>,
+    sim: Option<SimRig>,
+    /// The simulated serial lines' plugs.
+    ptys: Vec<Mutex<Pty>>,
+}
+
+/// A handle on a running rig for one procedure or supervisor.
+#[derive(Clone)]
+pub struct LiveBench {
+    pump: Arc<Mutex<Pump>>,
+    requests: Arc<Mutex<Producer<Request>>>,
+    switches: Arc<Switches>,
+    statistics: Arc<rt::Statistics>,
+    clock: Clock,
+}
+
+impl Live {
+    /// Starts the rig of `rig` with `switches`' emergency stop and heartbeat.
+    ///
+    /// # Errors
+    /// If a bus owner, the controller or a thread cannot be made. A device that does not answer is none: it is
+    /// the owner's business, and the rig does not leave Boot.
+    pub fn start(rig: &Rig, switches: Switches) -> Result<Self, DaemonError> {
+        let clock = Clock::Live;
+        let sim = rig.is_simulated().then(|| SimRig::new(&rig.bench, &rig.wiring, &axes(rig), &clock));
+        let joints = join(rig, sim.as_ref().map(SimRig::plant), switches)?;
+        let Joints { mut tick, pump, requests, switches, i2c, serial, valve } = joints;
+        let timeout = rig.wiring.command_timeout;
+        let stop_owners = Arc::new(AtomicBool::new(false));
+        let promote = promotion(rig.realtime.priority);
+        let mut owners = Vec::new();
+        let mut ptys = Vec::new();
+        let mut devices = vec![FreeDevices::default(); rig.control.frees.len()];
+
+        for ((index, wiring), ports) in rig.wiring.i2c.iter().enumerate().zip(i2c) {
+            let stop = Arc::clone(&stop_owners);
+            let promote = promote.clone();
+            let (thread, statistics) = match sim.as_ref().and_then(|s| s.i2c(index)) {
+                Some((bus, clock)) => {
+                    let owner = I2cOwner::new(wiring, timeout, clock, move || Ok(bus.clone()), ports);
+                    let statistics = owner.statistics();
+                    (named(&wiring.name, move || serve_i2c(owner, &stop, promote))?, statistics)
+                }
+                None => {
+                    let device = wiring.device.clone();
+                    let owner = I2cOwner::new(wiring, timeout, clock.fork(), move || i2c::open(&device), ports);
+                    let statistics = owner.statistics();
+                    (named(&wiring.name, move || serve_i2c(owner, &stop, promote))?, statistics)
+                }
+            };
+            owners.push(thread);
+            // Statistics come in the order of the wiring: DACs, then IMUs.
+            let (dacs, imus) = statistics.split_at(wiring.dacs.len());
+            for (wiring, statistics) in wiring.dacs.iter().zip(dacs) {
+                for channel in wiring.channels.iter().flatten() {
+                    note(&mut devices, channel.free, |d| d.regulator = Some(Arc::clone(statistics)));
+                }
+            }
+            for (wiring, statistics) in wiring.imus.iter().zip(imus) {
+                for &free in &wiring.frees {
+                    note(&mut devices, free, |d| d.imu = Some(Arc::clone(statistics)));
+                }
+            }
+        }
+
+        for ((index, wiring), (command, samples)) in rig.wiring.serial.iter().enumerate().zip(serial) {
+            let mut wiring = wiring.clone();
+            if let Some(sim) = &sim {
+                let link = rig.record.directory.join(format!(".sim-{}-{}", std::process::id(), wiring.name));
+                let pty = sim.pty(index, &link).map_err(|source| DaemonError::Io {
+                    what: format!("the simulated serial line {}", wiring.name),
+                    source,
+                })?;
+                wiring.device = pty.path().to_owned();
+                ptys.push(pty);
+            }
+            let opened = wiring.clone();
+            let open = move || std::future::ready(serial::open(&opened));
+            let stop = Arc::clone(&stop_owners);
+            let owner = SerialOwner::new(&wiring, clock.fork(), timeout, open, command, samples, stop)?;
+            for (unit, statistics) in wiring.units.iter().zip(&owner.statistics().units) {
+                note(&mut devices, unit.free, |d| d.regulator = Some(Arc::clone(statistics)));
+            }
+            let thread = serial::spawn(&wiring.name, owner, promote.clone()).map_err(thread_failed)?;
+            owners.push(thread);
+        }
+
+        if let (Some(command), Some(sim)) = (valve, &sim) {
+            let owner = ValveOwner::new(sim.dump_valve(clock.fork()), command, clock.fork(), timeout);
+            let stop = Arc::clone(&stop_owners);
+            owners.push(named("dump-valve", move || owner.run(&stop))?);
+        }
+
+        let realtime = rt::Realtime {
+            period: rig.control.period,
+            priority: Some(rig.realtime.priority),
+            cpu: rig.realtime.cpu,
+            lock_memory: true,
+        };
+        let tick = rt::spawn(realtime, move |timing| tick.run(timing))?;
+        switches.realtime.store(tick.rights().realtime(), Ordering::Relaxed);
+        for refusal in tick.rights().refusals() {
+            tracing::warn!("no real-time rights: {refusal}");
+        }
+        let statistics = tick.statistics();
+        let pump = Arc::new(Mutex::new(pump));
+        let stop_pump = Arc::new(AtomicBool::new(false));
+        let pump_thread = named("pump", {
+            let (pump, stop, clock) = (Arc::clone(&pump), Arc::clone(&stop_pump), clock.fork());
+            move || {
+                while !stop.load(Ordering::Acquire) {
+                    lock(&pump).turn();
+                    clock.block_until(clock.now() + PUMP_PERIOD);
+                }
+                lock(&pump).turn();
+            }
+        })?;
+        let bench = LiveBench { pump, requests: Arc::new(Mutex::new(requests)), switches, statistics, clock };
+        Ok(Self {
+            bench,
+            tick: Some(tick),
+            owners,
+            pump: Some(pump_thread),
+            stop_owners,
+            stop_pump,
+            devices,
+            sim,
+            ptys: ptys.into_iter().map(Mutex::new).collect(),
+        })
+    }
+
+    /// A handle for a procedure.
+    pub fn bench(&self) -> LiveBench {
+        self.bench.clone()
+    }
+
+    /// The loop's books.
+    pub fn statistics(&self) -> &rt::Statistics {
+        &self.bench.statistics
+    }
+
+    /// The loop's rights; none once it has ended.
+    pub fn rights(&self) -> Option<&rt::Rights> {
+        self.tick.as_ref().map(rt::Handle::rights)
+    }
+
+    /// Whether the loop runs.
+    pub fn is_running(&self) -> bool {
+        self.tick.as_ref().is_some_and(rt::Handle::is_running)
+    }
+
+    /// By FREE: what its devices have counted.
+    pub fn devices(&self) -> &[FreeDevices] {
+        &self.devices
+    }
+
+    /// The simulated devices, on the sim backend.
+    pub fn sim(&self) -> Option<&SimRig> {
+        self.sim.as_ref()
+    }
+
+    /// The simulated serial lines' plugs, in the order of the wiring.
+    pub fn ptys(&self) -> &[Mutex<Pty>] {
+        &self.ptys
+    }
+
+    /// Ends the rig: command zero first, verify p < p_zero within the vent time, then release. Returns whether
+    /// every FREE that measures its pressure was seen vented.
+    ///
+    /// # Errors
+    /// If the loop had panicked.
+    pub fn stop(mut self, rig: &Rig) -> Result<bool, DaemonError> {
+        self.bench.switches.estop.store(true, Ordering::Release);
+        let end = self.bench.now() + rig.control.vent_time + Duration::from_millis(500);
+        let mut vented = false;
+        while self.is_running() && self.bench.now() < end {
+            self.bench.pass(PUMP_PERIOD)?;
+            vented = is_vented(&self.bench.latest(), rig);
+            if vented {
+                break;
+            }
+        }
+        let ended = self.tick.take().map_or(Ok(()), rt::Handle::join);
+        self.release();
+        ended?;
+        Ok(vented)
+    }
+
+    fn release(&mut self) {
+        self.stop_owners.store(true, Ordering::Release);
+        for owner in self.owners.drain(..) {
+            if owner.join().is_err() {
+                tracing::error!("a bus owner panicked");
+            }
+        }
+        self.stop_pump.store(true, Ordering::Release);
+        if self.pump.take().is_some_and(|p| p.join().is_err()) {
+            tracing::error!("the pump panicked");
+        }
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        drop(self.tick.take());
+        self.release();
+    }
+}
+
+/// Whether every FREE that measures its pressure is below p_zero and every command is zero.
+pub fn is_vented(record: &TickRecord, rig: &Rig) -> bool {
+    record.free_count > 0
+        && record.frees().iter().zip(&rig.control.frees).all(|(tick, free)| {
+            tick.command == 0.0 && (!free.regulator.measures || tick.pressure.pressure < free.limits.pressure_zero)
+        })
+}
+
+fn note(devices: &mut [FreeDevices], free: usize, set: impl FnOnce(&mut FreeDevices)) {
+    if let Some(devices) = devices.get_mut(free) {
+        set(devices);
+    }
+}
+
+/// Promotes the calling thread below the tick; a refusal is the tick's refusal, and told there.
+fn promotion(tick: u8) -> impl Fn() + Clone + Send + 'static {
+    let priority = tick.saturating_sub(BELOW_THE_TICK).max(1);
+    move || {
+        if let Err(refusal) = rt::fifo(Some(priority)) {
+            tracing::debug!("bus owner: {refusal}");
+        }
+    }
+}
+
+fn serve_i2c<I: embedded_hal::i2c::I2c>(owner: I2cOwner<I>, stop: &AtomicBool, promote: impl Fn()) {
+    promote();
+    if let Err(error) = owner.run(stop) {
+        tracing::error!(%error, "an I2C bus was left in an unknown state");
+    }
+}
+
+fn named(name: &str, body: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, DaemonError> {
+    std::thread::Builder::new().name(format!("freerig-{name}")).spawn(body).map_err(thread_failed)
+}
+
+fn thread_failed(source: std::io::Error) -> DaemonError {
+    DaemonError::Io { what: "a thread could not be started".into(), source }
+}
+
+impl Bench for LiveBench {
+    fn now(&self) -> Time {
+        self.clock.now()
+    }
+
+    fn request(&mut self, request: Request) -> Result<(), DaemonError> {
+        lock(&self.requests).push(request).map_err(|_| DaemonError::Busy)
+    }
+
+    fn pass(&mut self, duration: Duration) -> Result<(), DaemonError> {
+        let ticks = self.statistics.ticks();
+        self.clock.block_until(self.clock.now() + duration);
+        // A machine may stall for a while; a loop that has ended never ticks again.
+        if self.statistics.ticks() == ticks {
+            self.clock.block_until(self.clock.now() + Duration::from_secs(2));
+            if self.statistics.ticks() == ticks {
+                return Err(DaemonError::LoopEnded("no tick for 2 s".into()));
+            }
+        }
+        lock(&self.pump).turn();
+        Ok(())
+    }
+
+    fn heartbeat(&mut self) {
+        self.switches.heartbeat.set(self.clock.now());
+    }
+
+    fn with_pump<R>(&mut self, look: impl FnOnce(&mut Pump) -> R) -> R {
+        look(&mut lock(&self.pump))
+    }
+
+    fn latest(&mut self) -> TickRecord {
+        *lock(&self.pump).latest()
+    }
+
+    fn attach(&mut self, recorder: Recorder) {
+        lock(&self.pump).attach(recorder);
+    }
+
+    fn detach(&mut self) -> Result<Option<Recorder>, DaemonError> {
+        let mut pump = lock(&self.pump);
+        pump.turn();
+        detached(pump.detach())
+    }
+}

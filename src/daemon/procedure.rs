@@ -1,0 +1,126 @@
+//! Steps that every procedure takes: arm, disarm, wait for a state, hear a refusal.
+
+use std::time::Duration;
+
+use super::error::DaemonError;
+use super::{Bench, Change, margin};
+use crate::config::Rig;
+use crate::control::Request;
+use crate::signal::{Refusal, State, TickRecord};
+
+/// How often a procedure looks at the rig.
+pub const LOOK: Duration = Duration::from_millis(20);
+/// Longest time that the devices' set-up may take.
+const BOOT: Duration = Duration::from_secs(8);
+/// Longest time that self-test, vent check and tare may take.
+const ARMING: Duration = Duration::from_secs(10);
+/// Beyond the ramp and vent times, how long disarming may take.
+const SETTLING: Duration = Duration::from_secs(3);
+
+/// Hears what the tick refuses from its making on.
+pub struct Refusals {
+    heard: u64,
+}
+
+impl Refusals {
+    /// Everything refused so far is somebody else's affair.
+    pub fn new<B: Bench>(bench: &mut B) -> Self {
+        Self { heard: bench.with_pump(|p| p.changes_so_far()) }
+    }
+
+    /// The next refusal.
+    pub fn next<B: Bench>(&mut self, bench: &mut B) -> Option<Refusal> {
+        let heard = &mut self.heard;
+        bench.with_pump(|p| {
+            p.changes(heard).find_map(|(_, change)| match change {
+                Change::Refused(refusal) => Some(refusal),
+                _ => None,
+            })
+        })
+    }
+}
+
+/// The error that says what the tick refused.
+pub fn refused(refusal: Refusal, rig: &Rig) -> DaemonError {
+    let subject = rig.control.frees.get(usize::from(refusal.free)).map(|f| f.name.clone());
+    DaemonError::Refused { refusal, subject }
+}
+
+/// Checks the margins of the rig's gains (unless they are accepted as they are), arms, and waits until it holds.
+///
+/// # Errors
+/// A margin below the stated one, a refusal, a fault, or the time.
+pub fn arm<B: Bench>(bench: &mut B, rig: &Rig, accept_margin: bool) -> Result<(), DaemonError> {
+    if !accept_margin {
+        margin::check(&rig.control)?;
+    }
+    // The devices are set up while the rig boots.
+    reach(bench, rig, BOOT, "disarmed", |r| r.state != State::Boot)?;
+    bench.request(Request::Arm)?;
+    reach(bench, rig, ARMING, "hold", |r| r.state.is_armed())
+}
+
+/// Takes the pressures down and waits until the rig is disarmed.
+///
+/// # Errors
+/// A fault on the way, or the time.
+pub fn disarm<B: Bench>(bench: &mut B, rig: &Rig) -> Result<(), DaemonError> {
+    bench.request(Request::Disarm)?;
+    let longest = rig.control.ramp_time + rig.control.vent_time + SETTLING;
+    reach(bench, rig, longest, "disarmed", |r| r.state == State::Disarmed)
+}
+
+/// Clears the latched faults and waits until the rig is disarmed.
+///
+/// # Errors
+/// The refusal that names the fault whose condition still holds, or the time.
+pub fn clear<B: Bench>(bench: &mut B, rig: &Rig) -> Result<(), DaemonError> {
+    let mut refusals = Refusals::new(bench);
+    bench.request(Request::Clear)?;
+    let end = bench.now() + SETTLING;
+    while bench.now() < end {
+        bench.pass(LOOK)?;
+        if let Some(refusal) = refusals.next(bench) {
+            return Err(refused(refusal, rig));
+        }
+        if bench.latest().state == State::Disarmed {
+            return Ok(());
+        }
+    }
+    Err(DaemonError::Timeout {
+        wanted: "disarmed",
+        seconds: SETTLING.as_secs_f64(),
+        state: bench.latest().state.name(),
+    })
+}
+
+/// Lets time pass until the latest record fits.
+///
+/// # Errors
+/// A refusal, a latched fault, or the time.
+pub fn reach<B: Bench>(
+    bench: &mut B,
+    rig: &Rig,
+    longest: Duration,
+    wanted: &'static str,
+    fits: impl Fn(&TickRecord) -> bool,
+) -> Result<(), DaemonError> {
+    let end = bench.now() + longest;
+    let mut refusals = Refusals::new(bench);
+    loop {
+        bench.pass(LOOK)?;
+        if let Some(refusal) = refusals.next(bench) {
+            return Err(refused(refusal, rig));
+        }
+        let latest = bench.latest();
+        if !latest.latched.is_empty() {
+            return Err(DaemonError::Fault(latest.latched));
+        }
+        if fits(&latest) {
+            return Ok(());
+        }
+        if bench.now() >= end {
+            return Err(DaemonError::Timeout { wanted, seconds: longest.as_secs_f64(), state: latest.state.name() });
+        }
+    }
+}

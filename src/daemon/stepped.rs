@@ -1,0 +1,229 @@
+//! The rig on the stepped clock: one scheduler, one thread, fixed order, as fast as the machine can.
+//!
+//! At each event, in this order: I2C owners (they publish what they have read once everybody has caught up with
+//! their transfers, then take their next turn), the valve's owner, the serial owners (polled until they wait),
+//! the tick. Plant and chips advance when they are asked. The same seed gives the same bits.
+
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Waker};
+use std::time::Duration;
+
+use rtrb::Producer;
+
+use super::join::{Joints, join};
+use super::tick::{Switches, Tick};
+use super::{Bench, DaemonError, Pump};
+use crate::clock::{Stepper, Time};
+use crate::config::Rig;
+use crate::control::Request;
+use crate::hardware::{I2cOwner, SerialOwner, ValveOwner};
+use crate::record::Recorder;
+use crate::rt::Timing;
+use crate::signal::TickRecord;
+use crate::sim::chips::SimI2c;
+use crate::sim::{SimDumpValve, SimRig};
+
+type SerialTask = Pin<Box<dyn Future<Output = ()>>>;
+
+/// An I2C owner, and whether its latest readings still wait to be handed out.
+struct I2cTurn {
+    owner: I2cOwner<SimI2c>,
+    staged: bool,
+}
+
+impl I2cTurn {
+    /// When it wants to be looked at again.
+    fn next(&self) -> Time {
+        if self.staged { self.owner.busy_until() } else { self.owner.next_due() }
+    }
+
+    fn turn(&mut self, now: Time) {
+        if self.staged && self.owner.busy_until() <= now {
+            self.owner.publish();
+            self.staged = false;
+        }
+        if !self.staged && self.owner.next_due() <= now {
+            self.owner.cycle();
+            self.staged = true;
+        }
+    }
+}
+
+/// A simulated rig on the stepped clock.
+pub struct Stepped {
+    stepper: Stepper,
+    sim: SimRig,
+    i2c: Vec<I2cTurn>,
+    valve: Option<ValveOwner<SimDumpValve>>,
+    serial: Vec<SerialTask>,
+    stop: Arc<AtomicBool>,
+    tick: Tick,
+    period: Duration,
+    ticks: u64,
+    due: Time,
+    pump: Pump,
+    requests: Producer<Request>,
+    switches: Arc<Switches>,
+}
+
+impl Stepped {
+    /// The simulated rig of `rig`, at time zero, vented; `rig.bench.seed` is its seed.
+    ///
+    /// # Errors
+    /// If the controller or an owner cannot be built.
+    pub fn new(rig: &Rig) -> Result<Self, DaemonError> {
+        let stepper = Stepper::new();
+        let sim = SimRig::new(&rig.bench, &rig.wiring, &axes(rig), &stepper.clock());
+        let Joints { tick, pump, requests, switches, i2c, serial, valve } =
+            join(rig, Some(sim.plant()), Switches::default())?;
+        let timeout = rig.wiring.command_timeout;
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut turns = Vec::new();
+        for ((index, wiring), ports) in rig.wiring.i2c.iter().enumerate().zip(i2c) {
+            let Some((bus, clock)) = sim.i2c(index) else { continue };
+            let owner = I2cOwner::new(wiring, timeout, clock, move || Ok(bus.clone()), ports);
+            turns.push(I2cTurn { owner, staged: false });
+        }
+        let mut tasks: Vec<SerialTask> = Vec::new();
+        for ((index, wiring), (command, samples)) in rig.wiring.serial.iter().enumerate().zip(serial) {
+            let Some(line) = sim.line(index).cloned() else { continue };
+            let clock = stepper.clock();
+            let open = {
+                let clock = clock.clone();
+                move || std::future::ready(SimRig::open_line(&line, &clock))
+            };
+            let owner = SerialOwner::new(wiring, clock, timeout, open, command, samples, Arc::clone(&stop))?;
+            tasks.push(Box::pin(owner.run()));
+        }
+        let valve =
+            valve.map(|command| ValveOwner::new(sim.dump_valve(stepper.clock()), command, stepper.clock(), timeout));
+        switches.realtime.store(true, Ordering::Relaxed);
+        let period = rig.control.period;
+        Ok(Self {
+            due: stepper.now() + period,
+            stepper,
+            sim,
+            i2c: turns,
+            valve,
+            serial: tasks,
+            stop,
+            tick,
+            period,
+            ticks: 0,
+            pump,
+            requests,
+            switches,
+        })
+    }
+
+    /// The simulated devices: to make them misbehave, and to ask for the truth.
+    pub fn sim(&self) -> &SimRig {
+        &self.sim
+    }
+
+    /// The switches that the tick reads.
+    pub fn switches(&self) -> &Switches {
+        &self.switches
+    }
+
+    fn next_event(&self) -> Time {
+        let owners = self.i2c.iter().map(I2cTurn::next).chain(self.valve.iter().map(ValveOwner::next_due));
+        owners.chain(self.stepper.next_timer()).fold(self.due, Time::min)
+    }
+
+    fn step(&mut self, now: Time) {
+        for turn in &mut self.i2c {
+            turn.turn(now);
+        }
+        if let Some(valve) = self.valve.as_mut().filter(|v| v.next_due() <= now) {
+            valve.cycle();
+        }
+        let mut context = Context::from_waker(Waker::noop());
+        self.serial.retain_mut(|task| task.as_mut().poll(&mut context).is_pending());
+        if self.due <= now {
+            self.tick.run(&Timing {
+                tick: self.ticks,
+                deadline: self.due,
+                woke: self.due,
+                latency_ns: 0,
+                execution_ns: 0,
+                skipped: 0,
+            });
+            self.ticks += 1;
+            self.due = self.due + self.period;
+            self.pump.turn();
+        }
+    }
+}
+
+impl Drop for Stepped {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+    }
+}
+
+impl Bench for Stepped {
+    fn now(&self) -> Time {
+        self.stepper.now()
+    }
+
+    fn request(&mut self, request: Request) -> Result<(), DaemonError> {
+        self.requests.push(request).map_err(|_| DaemonError::Busy)
+    }
+
+    fn pass(&mut self, duration: Duration) -> Result<(), DaemonError> {
+        let end = self.stepper.now() + duration;
+        loop {
+            let next = self.next_event();
+            if next > end {
+                self.stepper.advance_to(end);
+                return Ok(());
+            }
+            self.stepper.advance_to(next);
+            self.step(self.stepper.now());
+        }
+    }
+
+    fn heartbeat(&mut self) {
+        self.switches.heartbeat.set(self.stepper.now());
+    }
+
+    fn with_pump<R>(&mut self, look: impl FnOnce(&mut Pump) -> R) -> R {
+        look(&mut self.pump)
+    }
+
+    fn latest(&mut self) -> TickRecord {
+        *self.pump.latest()
+    }
+
+    fn attach(&mut self, recorder: Recorder) {
+        self.pump.attach(recorder);
+    }
+
+    fn detach(&mut self) -> Result<Option<Recorder>, DaemonError> {
+        detached(self.pump.detach())
+    }
+}
+
+/// By FREE: its axis in its sensor's frame.
+pub(super) fn axes(rig: &Rig) -> Vec<[f64; 3]> {
+    rig.control.frees.iter().map(|f| f.imu.map_or([0.0, 0.0, 1.0], |imu| imu.axis)).collect()
+}
+
+/// The recorder, or the error that ended the recording.
+pub(super) fn detached(
+    (recorder, failure): (Option<Recorder>, Option<crate::record::RecordError>),
+) -> Result<Option<Recorder>, DaemonError> {
+    match failure {
+        Some(error) => Err(error.into()),
+        None => Ok(recorder),
+    }
+}
+
+/// Locks, also after a panic elsewhere: the state behind these locks is valid between any two statements.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,164 @@
+//! The whole simulated rig: plant and chips on the buses of a wiring, for the real drivers to find.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::chips::{
+    AlicatChip, Bno055Chip, Bno055Sim, Mcp4728Chip, MemoryStream, Mischief, Orientation, Pty, SerialLine, SimI2c,
+};
+use super::{BenchConfig, Plant};
+use crate::clock::Clock;
+use crate::hardware::wiring::{DacWiring, ImuWiring, SerialWiring, Wiring};
+use crate::hardware::{DumpValve, HardwareError};
+
+/// The buses run at the Linux default.
+const I2C_HERTZ: u32 = 100_000;
+/// An MCP4728 on its internal reference at gain 2 gives one millivolt per code.
+const CODES_PER_VOLT: f64 = 1000.0;
+
+/// A simulated rig.
+pub struct SimRig {
+    plant: Arc<Mutex<Plant>>,
+    buses: Vec<(SimI2c, Clock)>,
+    lines: Vec<Arc<Mutex<SerialLine>>>,
+    imus: BTreeMap<usize, Mischief>,
+    regulators: BTreeMap<usize, Mischief>,
+}
+
+impl SimRig {
+    /// The rig of `bench` on `wiring`, at rest and vented, from `clock`'s present on. `axes` are the FREEs' axes
+    /// in their sensors' frames, by FREE.
+    pub fn new(bench: &BenchConfig, wiring: &Wiring, axes: &[[f64; 3]], clock: &Clock) -> Self {
+        let plant = Arc::new(Mutex::new(Plant::new(bench).starting_at(clock.now())));
+        let mut rig =
+            Self { plant, buses: Vec::new(), lines: Vec::new(), imus: BTreeMap::new(), regulators: BTreeMap::new() };
+        for wiring in &wiring.i2c {
+            let clock = clock.fork();
+            let bus = SimI2c::new(clock.clone(), I2C_HERTZ);
+            for imu in &wiring.imus {
+                rig.attach_imu(bench, imu, axes, &bus);
+            }
+            for dac in &wiring.dacs {
+                rig.attach_dac(dac, &bus);
+            }
+            rig.buses.push((bus, clock));
+        }
+        for (index, wiring) in wiring.serial.iter().enumerate() {
+            let line = rig.line_of(wiring, bench.seed.wrapping_add(index as u64));
+            rig.lines.push(line);
+        }
+        rig
+    }
+
+    fn attach_imu(&mut self, bench: &BenchConfig, wiring: &ImuWiring, axes: &[[f64; 3]], bus: &SimI2c) {
+        let Some(&free) = wiring.frees.first() else { return };
+        let axis = axes.get(free).copied().unwrap_or([0.0, 0.0, 1.0]);
+        let plant = self.plant();
+        let motion = move |time| {
+            let motion = plant.lock().unwrap_or_else(PoisonError::into_inner).orientation(free, time);
+            let along = |v: [f64; 3]| axis.map(|a| a * v[2]);
+            let [w, x, y, z] = motion.quaternion;
+            let [i, j, k] = along([x, y, z]);
+            Orientation { quaternion: [w, i, j, k], rate: along(motion.rate), acceleration: along(motion.acceleration) }
+        };
+        let sim = Bno055Sim::new(bench.imu, bench.seed.wrapping_mul(31).wrapping_add(free as u64));
+        let mischief = bus.attach(wiring.address, Bno055Chip::new(sim, Box::new(motion)));
+        for &free in &wiring.frees {
+            self.imus.insert(free, mischief.clone());
+        }
+    }
+
+    fn attach_dac(&mut self, wiring: &DacWiring, bus: &SimI2c) {
+        let plant = self.plant();
+        let channels = wiring.channels;
+        let sink = move |time, volts: [f64; 4]| {
+            let mut plant = plant.lock().unwrap_or_else(PoisonError::into_inner);
+            for (channel, volts) in channels.iter().zip(volts) {
+                if let Some(channel) = channel {
+                    let code = volts * CODES_PER_VOLT;
+                    let pascals = ((code - channel.zero_code) * channel.pascals_per_code).max(0.0);
+                    plant.set_setpoint(channel.free, pascals, time);
+                }
+            }
+        };
+        let mischief = bus.attach(wiring.address, Mcp4728Chip::programmed(wiring.address, Box::new(sink)));
+        for channel in wiring.channels.iter().flatten() {
+            self.regulators.insert(channel.free, mischief.clone());
+        }
+    }
+
+    fn line_of(&mut self, wiring: &SerialWiring, seed: u64) -> Arc<Mutex<SerialLine>> {
+        let mut line = SerialLine::new(wiring.baud, seed);
+        for unit in &wiring.units {
+            let mischief = line.attach(AlicatChip::new(*unit, self.plant()));
+            self.regulators.insert(unit.free, mischief);
+        }
+        Arc::new(Mutex::new(line))
+    }
+
+    /// The plant.
+    pub fn plant(&self) -> Arc<Mutex<Plant>> {
+        Arc::clone(&self.plant)
+    }
+
+    /// The I2C bus of that index in the wiring, with the clock of its owner, which its transfers move.
+    pub fn i2c(&self, index: usize) -> Option<(SimI2c, Clock)> {
+        self.buses.get(index).cloned()
+    }
+
+    /// The serial line of that index in the wiring: to look at its units, and to pull its plug.
+    pub fn line(&self, index: usize) -> Option<&Arc<Mutex<SerialLine>>> {
+        self.lines.get(index)
+    }
+
+    /// The computer's end of a serial line in memory.
+    ///
+    /// # Errors
+    /// If there is no such line, or it is not plugged in.
+    pub fn open_line(line: &Arc<Mutex<SerialLine>>, clock: &Clock) -> Result<MemoryStream, HardwareError> {
+        MemoryStream::open(line, clock.clone()).map_err(|error| HardwareError::Open {
+            device: "simulated serial line".into(),
+            reason: error.to_string(),
+            remedy: "Plug the simulated line in".into(),
+        })
+    }
+
+    /// A serial line as a pseudo-terminal, under the path `link`.
+    ///
+    /// # Errors
+    /// If the system gives none, or there is no such line.
+    pub fn pty(&self, index: usize, link: &Path) -> io::Result<Pty> {
+        let line = self.lines.get(index).ok_or(io::ErrorKind::NotFound)?;
+        Pty::new(Arc::clone(line), link)
+    }
+
+    /// Makes the IMU of a FREE misbehave.
+    pub fn imu(&self, free: usize) -> Option<&Mischief> {
+        self.imus.get(&free)
+    }
+
+    /// Makes the regulator of a FREE misbehave.
+    pub fn regulator(&self, free: usize) -> Option<&Mischief> {
+        self.regulators.get(&free)
+    }
+
+    /// The dump valve, moved on `clock`.
+    pub fn dump_valve(&self, clock: Clock) -> SimDumpValve {
+        SimDumpValve { plant: self.plant(), clock }
+    }
+}
+
+/// The simulated dump valve.
+pub struct SimDumpValve {
+    plant: Arc<Mutex<Plant>>,
+    clock: Clock,
+}
+
+impl DumpValve for SimDumpValve {
+    fn set(&mut self, open: bool) -> Result<(), HardwareError> {
+        self.plant.lock().unwrap_or_else(PoisonError::into_inner).set_dump(open, self.clock.now());
+        Ok(())
+    }
+}
