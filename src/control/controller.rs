@@ -12,7 +12,7 @@ use thiserror::Error;
 use super::estimator::{Estimator, Reading};
 use super::fault::Reaction;
 use super::feedforward::Feedforward;
-use super::interlocks::{FreeInterlocks, HEARTBEAT_MAX, LateTicks, STALL_MAX, Seen, Vented, Verdict};
+use super::interlocks::{FreeInterlocks, HEARTBEAT_MAX, LateTicks, STALL_MAX, Seen, Vented, Verdict, reached};
 use super::lifecycle::{Faulting, Mode, Phase, Sight};
 use super::pid::{Band, Pid};
 use super::{ControlConfig, FreeControl, Gains, Limits, Request, TickInput};
@@ -272,7 +272,7 @@ impl Controller {
         }
         if let Some(run) = self.phase.run()
             && run.attended
-            && input.time.seconds_since(input.heartbeat.max(run.start)) >= HEARTBEAT_MAX
+            && reached(input.time.seconds_since(input.heartbeat.max(run.start)), HEARTBEAT_MAX)
         {
             verdict.add(FaultCode::ClientLost, Reaction::Ramp);
         }

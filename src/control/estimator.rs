@@ -5,7 +5,7 @@
 //! drops out (it is chosen so that q_w >= 0), and the angle is unwrapped to the turn nearest to where the gyro
 //! said it would be: a FREE turns beyond a full turn.
 //!
-//! **Plausible** is a reading with a norm within 0.02 of one, a tilt below 160 deg, and an angle that the gyro
+//! **Plausible** is a reading with a norm within 0.02 of one, a rate within the gyro's range, a tilt below 160 deg, and an angle that the gyro
 //! can explain ([`JUMP_MAX`], growing by [`JUMP_RATE`] with the time since the reading before). Any other is
 //! refused and counted by the interlocks; the estimate goes on from the last good one.
 //!
@@ -40,6 +40,8 @@ pub const JUMP_MAX: f64 = 0.25;
 /// How it grows with the time between the readings beyond one period, rad/s: after an outage a reading is let in
 /// again, half a turn after 0.6 s.
 pub const JUMP_RATE: f64 = 5.0;
+/// Fastest rate that a reading may give, rad/s: the gyro's range is 2000 deg/s.
+pub const RATE_MAX: f64 = 36.0;
 /// Longest time over which a reading is extrapolated, s.
 pub const HORIZON_MAX: f64 = 0.05;
 
@@ -128,7 +130,7 @@ impl Estimator {
         }
         let Some(orientation) = unit(sample.quaternion) else { return Reading::Refused };
         let rate = dot(sample.rate, self.axis);
-        if !rate.is_finite() {
+        if !(rate.abs() <= RATE_MAX) {
             return Reading::Refused;
         }
         if self.estimate.tare == [0.0; 4] {
@@ -144,7 +146,7 @@ impl Estimator {
         let e = &mut self.estimate;
         let angle = if e.valid {
             let elapsed = taken.seconds_since(self.accepted).max(0.0);
-            let expected = e.measured_angle + 0.5 * (e.measured_rate + rate) * elapsed;
+            let expected = e.measured_angle + 0.5 * (e.measured_rate + rate) * elapsed.min(HORIZON_MAX);
             let angle = unwrap(twist, expected);
             if (angle - expected).abs() > JUMP_MAX + JUMP_RATE * (elapsed - self.period).max(0.0) {
                 return Reading::Refused;

@@ -145,8 +145,12 @@ impl Following {
             return self.spent >= FOLLOW_BUDGET;
         }
         self.spent = (self.spent + dt).min(2.0 * FOLLOW_BUDGET);
-        let (marked_pressure, marked_error) = *self.mark.get_or_insert((pressure, error));
-        // An approach: the pressure itself has moved towards the expected one and the gap has narrowed by as much.
+        let (marked_pressure, marked_error) = match self.mark {
+            Some(mark) if mark.1 >= error => mark,
+            _ => *self.mark.insert((pressure, error)),
+        };
+        // An approach: since the gap was widest, the pressure itself has moved towards the expected one and the gap
+        // has narrowed by as much.
         // A stuck reading fails the first, a leak under a moving command the second.
         let moved = (pressure - marked_pressure) * (expected - pressure).signum();
         let enough = 0.5 * tolerance;
@@ -247,13 +251,13 @@ impl FreeInterlocks {
 
     /// Whether the regulator has been heard of recently.
     pub fn pressure_fresh(&self, now: Time) -> bool {
-        self.pressure.silence(now).is_some_and(|age| age <= STALE_PERIODS * self.regulator.period.as_secs_f64())
+        self.pressure.silence(now).is_some_and(|age| !over(age, STALE_PERIODS * self.regulator.period.as_secs_f64()))
     }
 
     /// Whether the IMU has given a good reading recently; true where there is none.
     pub fn imu_fresh(&self, now: Time) -> bool {
         self.imu.is_none_or(|imu| {
-            self.accepted.silence(now).is_some_and(|age| age <= STALE_PERIODS * imu.period.as_secs_f64())
+            self.accepted.silence(now).is_some_and(|age| !over(age, STALE_PERIODS * imu.period.as_secs_f64()))
         })
     }
 
@@ -274,7 +278,7 @@ impl FreeInterlocks {
             verdict.add(FaultCode::BusLost, Reaction::Vent);
         }
         let period = self.regulator.period.as_secs_f64();
-        let stale = self.pressure.silence(now).is_some_and(|age| age > STALE_PERIODS * period);
+        let stale = self.pressure.silence(now).is_some_and(|age| over(age, STALE_PERIODS * period));
         if stale {
             verdict.add(FaultCode::PressureStale, Reaction::Vent);
         }
@@ -290,9 +294,9 @@ impl FreeInterlocks {
         let margin = RANGE_MARGIN * self.regulator.full_scale;
         let in_range = p >= -margin && p <= self.regulator.full_scale + margin;
         if alive {
-            let over = !in_range || sample.status.intersects(RegulatorStatus::PRESSURE_OVER_RANGE);
+            let off = !in_range || sample.status.intersects(RegulatorStatus::PRESSURE_OVER_RANGE);
             if fresh {
-                self.out_of_range = if over { self.out_of_range.saturating_add(1) } else { 0 };
+                self.out_of_range = if off { self.out_of_range.saturating_add(1) } else { 0 };
             }
             if self.out_of_range >= SAMPLES_DEBOUNCE {
                 verdict.add(FaultCode::PressureSensorRange, Reaction::Vent);
@@ -302,14 +306,14 @@ impl FreeInterlocks {
             }
             if p > self.limits.pressure_warn {
                 let since = *self.above_warn.get_or_insert(now);
-                if now.seconds_since(since) >= SOFT_DEBOUNCE {
+                if reached(now.seconds_since(since), SOFT_DEBOUNCE) {
                     verdict.add(FaultCode::OverpressureSoft, Reaction::Ramp);
                 }
             } else if p <= self.limits.pressure_warn {
                 self.above_warn = None;
             }
             if let Some(age) = self.pressure.age(now)
-                && age > GROWTH_PERIODS * period
+                && over(age, GROWTH_PERIODS * period)
                 && p + age * self.regulator.fastest_fill > self.limits.pressure_hard
             {
                 verdict.add(FaultCode::PressureStale, Reaction::Vent);
@@ -356,8 +360,8 @@ impl FreeInterlocks {
             verdict.add(FaultCode::BusLost, Reaction::Vent);
         }
         let Some(age) = self.accepted.silence(now) else { return };
-        let reaction = if age > IMU_RAMP_AGE { Reaction::Ramp } else { Reaction::Hold };
-        if self.readings.silence(now).is_some_and(|s| s > STALE_PERIODS * imu.period.as_secs_f64()) {
+        let reaction = if over(age, IMU_RAMP_AGE) { Reaction::Ramp } else { Reaction::Hold };
+        if self.readings.silence(now).is_some_and(|s| over(s, STALE_PERIODS * imu.period.as_secs_f64())) {
             verdict.add(FaultCode::ImuStale, reaction);
         }
         if self.implausible >= SAMPLES_DEBOUNCE {
@@ -377,15 +381,25 @@ impl FreeInterlocks {
         }
         let (largest, time) = self.limits.tracking_error;
         let error = (reference.position - estimate.angle).abs();
-        if seen.armed && reference.quantity == Quantity::Angle && (error > largest || error.is_nan()) {
+        if seen.armed && reference.quantity == Quantity::Angle && !(error <= largest) {
             let since = *self.off_reference.get_or_insert(now);
-            if now.seconds_since(since) >= time {
+            if reached(now.seconds_since(since), time) {
                 verdict.add(FaultCode::TrackingError, Reaction::Ramp);
             }
         } else {
             self.off_reference = None;
         }
     }
+}
+
+/// Whether `time` is more than `limit`, to the nanosecond (both in s, each rounded on its own).
+fn over(time: f64, limit: f64) -> bool {
+    time > limit + 0.5e-9
+}
+
+/// Whether `time` has come up to `limit`, to the nanosecond.
+pub(super) fn reached(time: f64, limit: f64) -> bool {
+    time >= limit - 0.5e-9
 }
 
 /// Late ticks: one bit a tick, set where a stall begins.

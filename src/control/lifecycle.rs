@@ -404,7 +404,8 @@ impl Step {
                     self.phase = Phase::Faulted(Venting { since: now, verified }, *latched);
                 }
             }
-            Phase::Faulting(Faulting::Vent(venting, latched)) => {
+            // A vent shows for one tick at least, even of a FREE that is empty already.
+            Phase::Faulting(Faulting::Vent(venting, latched)) if venting.since != now => {
                 let verified = sight.vented == Vented::Yes;
                 if verified || late(venting.since) {
                     if unvented {

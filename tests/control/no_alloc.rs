@@ -1,0 +1,50 @@
+//! One full cycle of ticks, boot to fault and vent, under an allocation guard: the tick allocates and frees nothing.
+
+use assert_no_alloc::assert_no_alloc;
+use freerig::control::{Gains, Request};
+use freerig::signal::State;
+use freerig::trajectory::Sequence;
+
+use crate::harness::*;
+
+#[test]
+fn a_cycle_of_arming_tracking_faulting_and_venting_allocates_nothing() {
+    let mut rig = Rig::new(&config(vec![free_control(-40.0), free_control(40.0)]));
+    rig.plant = true;
+    let program = angle_program(Sequence::starting_at(0.0).cubic_in_slot(0.5, 1.0, 2.0).build().unwrap());
+    let start = |identify| Request::Start { program: program.clone(), attended: false, identify };
+    let gains = Gains { proportional: 1e4, integral: 1e5, derivative: 100.0, derivative_filter: 10.0 };
+    let mut requests = [
+        (50, Request::Arm),
+        (300, start(false)),
+        (600, Request::Gains { free: 0, gains }),
+        (1500, start(true)),
+        (1700, Request::Stop),
+        (1800, start(false)),
+        (4000, Request::Clear),
+        (4100, Request::Arm),
+        (4400, Request::Disarm),
+    ]
+    .into_iter()
+    .peekable();
+    let mut visited = [false; 9];
+    for k in 0..4600u32 {
+        let request = requests.next_if(|(at, _)| *at == k).map(|(_, request)| request);
+        if k == 2000 {
+            rig.devices[1].imu_runs = false;
+        }
+        if k == 3900 {
+            rig.devices[1].imu_runs = true;
+        }
+        rig.input.request = request;
+        // Aborts the test at the first allocation. What the harness does beside the tick touches no heap either.
+        let record = assert_no_alloc(|| rig.tick());
+        visited[record.state as usize] = true;
+    }
+    let names =
+        [State::Disarmed, State::Arming, State::Hold, State::Track, State::Identify, State::Faulting, State::Faulted];
+    for state in names {
+        assert!(visited[state as usize], "{state:?} was not visited");
+    }
+    assert_eq!(rig.last.state, State::Disarmed);
+}
