@@ -130,7 +130,7 @@ impl Estimator {
         }
         let Some(orientation) = unit(sample.quaternion) else { return Reading::Refused };
         let rate = dot(sample.rate, self.axis);
-        if !(rate.abs() <= RATE_MAX) {
+        if rate.abs() > RATE_MAX || rate.is_nan() {
             return Reading::Refused;
         }
         if self.estimate.tare == [0.0; 4] {

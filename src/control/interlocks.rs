@@ -381,7 +381,7 @@ impl FreeInterlocks {
         }
         let (largest, time) = self.limits.tracking_error;
         let error = (reference.position - estimate.angle).abs();
-        if seen.armed && reference.quantity == Quantity::Angle && !(error <= largest) {
+        if seen.armed && reference.quantity == Quantity::Angle && (error > largest || error.is_nan()) {
             let since = *self.off_reference.get_or_insert(now);
             if reached(now.seconds_since(since), time) {
                 verdict.add(FaultCode::TrackingError, Reaction::Ramp);
