@@ -163,3 +163,77 @@ fn the_printed_pd_gains_cost_no_more_steps_than_any_others() {
     assert!(stiff.steps + stiff.rejected < 2 * mild.steps);
     assert!(stiff.iterations < 4 * stiff.steps);
 }
+
+fn freerig(args: &[&str]) -> std::process::Output {
+    std::process::Command::new(env!("CARGO_BIN_EXE_freerig"))
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .args(args)
+        .output()
+        .unwrap()
+}
+
+fn json(args: &[&str]) -> serde_json::Value {
+    let output = freerig(args);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+#[test]
+fn the_command_writes_the_reference_columns_and_one_json_object() {
+    let directory = tempfile::tempdir().unwrap();
+    let csv = directory.path().join("step.csv");
+    let answer = json(&[
+        "simulate",
+        "step",
+        "--free",
+        "published-code",
+        "--model",
+        "nonlinear",
+        "--kinematics",
+        "published",
+        "--gains",
+        "published-step",
+        "--json",
+        "--csv",
+        csv.to_str().unwrap(),
+    ]);
+    let reference = include_str!("reference/lumped/published_step_nonlinear.csv");
+    let written = std::fs::read_to_string(&csv).unwrap();
+    assert_eq!(written.lines().next(), reference.lines().next());
+    assert_eq!(written.lines().count(), reference.lines().count());
+    for (a, b) in written.lines().zip(reference.lines()).skip(1) {
+        let number = |line: &str, column: usize| line.split(',').nth(column).unwrap().parse::<f64>().unwrap();
+        assert_eq!(number(a, 0), number(b, 0));
+        assert!((number(a, 2) - number(b, 2)).abs() < 1e-5 && (number(a, 1) - number(b, 1)).abs() < 1e-7);
+    }
+    assert_eq!(answer["moves"].as_array().unwrap().len(), 3);
+    assert!(answer["rms_error_rad"].as_f64().unwrap() > 0.0);
+    // 80 deg here; 70 deg is asserted above.
+    assert!(answer["comparison"]["linear_pressure_excess"][2].as_f64().unwrap() > 0.34);
+    assert!(answer["comparison"]["radius_change"].as_f64().unwrap() > 0.106);
+}
+
+#[test]
+fn the_command_names_limits_and_bad_usage() {
+    let open = json(&["simulate", "openloop", "--pressure", "5psi", "--json"]);
+    assert!(open["rms_error_rad"].is_null() && open["gains"].is_null());
+    let fem = json(&["simulate", "step", "--from", "fem", "--kp", "3000", "--ki", "1e5", "--json"]);
+    // The material alone gives a tenth of the axial stiffness that the authors identified.
+    let ke = fem["stiffness"]["axial_n_per_m"].as_f64().unwrap();
+    assert!((500.0..1100.0).contains(&ke), "{ke}");
+    let far = freerig(&["simulate", "openloop", "--pressure", "60psi", "--duration", "9s"]);
+    assert_eq!(far.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&far.stderr).contains("fibres unwound"));
+    for bad in [
+        &["simulate", "openloop"][..],
+        &["simulate", "openloop", "--pressure", "5"],
+        &["simulate", "step", "--pressure", "5psi"],
+        &["simulate", "step", "--gains", "nobody"],
+        &["simulate", "step", "--gains", "paper-pi", "--kp", "1"],
+        &["simulate", "step", "--dt-out", "-1ms"],
+        &["simulate", "step", "--free", "nobody"],
+    ] {
+        let output = freerig(bad);
+        assert_eq!(output.status.code(), Some(2), "{bad:?}: {}", String::from_utf8_lossy(&output.stderr));
+    }
+}

@@ -26,6 +26,7 @@
 mod config;
 mod failure;
 mod progress;
+mod simulate;
 
 use std::fmt::Display;
 use std::io::{self, Write};
@@ -69,12 +70,15 @@ struct Cli {
 enum Command {
     /// Check rig.toml and everything it refers to
     Config(config::Args),
+    /// Run the lumped model of a FREE, alone or in a loop with its controller
+    Simulate(simulate::Args),
 }
 
 impl Command {
     fn run(self, context: &Context) -> Result<(), Failure> {
         match self {
             Command::Config(args) => config::run(args, context),
+            Command::Simulate(args) => simulate::run(args, context),
         }
     }
 }

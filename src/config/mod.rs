@@ -28,6 +28,7 @@ mod problem;
 mod reader;
 mod rig;
 mod sections;
+mod tube;
 
 pub use calibration::Calibration;
 pub use experiment::{Course, Experiment, Kind};
