@@ -132,3 +132,21 @@ fn no_gain_no_crossing_no_limit() {
     assert!(margin.stable && margin.gain_margin.is_infinite() && margin.phase_margin_deg.is_infinite(), "{margin:?}");
     assert!(margin.sufficient() && margin.problem().is_none());
 }
+
+#[test]
+fn the_presets_on_the_bench() {
+    // What the literature's gains, meant for an ideal plant, are worth behind a regulator's lag of 60 ms.
+    let of = |proportional, integral, derivative| {
+        bench(&paper(), &Gains { proportional, integral, derivative, derivative_filter: 0.0 }).margin()
+    };
+    let published_step = of(10_342.0, 94_803.0, 0.0);
+    let published_trajectory = of(17_236.9, 603_291.5, 0.0);
+    let paper_pi = of(32_000.0, 1.2e6, 0.0);
+    let printed = of(32_000.0, 0.0, 1.2e6);
+    let hand = of(11_600.0, 2.0e5, 0.0);
+    for margin in [published_step, published_trajectory, paper_pi, printed, hand] {
+        println!("{margin:?}");
+    }
+    assert!(published_step.sufficient());
+    assert!(!paper_pi.sufficient() && !printed.stable && !published_trajectory.sufficient());
+}

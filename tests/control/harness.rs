@@ -95,7 +95,14 @@ pub struct Device {
     pub regulator_health: RegulatorHealth,
     /// Pressure inside, Pa.
     pub pressure: f64,
+    /// Commands on their way through the dead time, the newest first, Pa.
+    pub commands: [f64; DELAY_TICKS],
+    /// Angle and rate on their way through the IMU, the newest first.
+    pub motion: [(f64, f64); DELAY_TICKS],
 }
+
+/// Dead time and IMU delay: 16 ms.
+pub const DELAY_TICKS: usize = 8;
 
 impl Default for Device {
     fn default() -> Self {
@@ -112,6 +119,8 @@ impl Default for Device {
             imu_health: ImuHealth::Good,
             regulator_health: RegulatorHealth::Good,
             pressure: 0.0,
+            commands: [0.0; DELAY_TICKS],
+            motion: [(0.0, 0.0); DELAY_TICKS],
         }
     }
 }
@@ -233,12 +242,14 @@ impl Rig {
         for (index, device) in self.devices.iter().enumerate() {
             let imu = &mut self.input.imu[index];
             if device.imu_runs && tick.is_multiple_of(IMU_TICKS) {
-                let half = 0.5 * device.angle;
+                let (angle, rate) =
+                    if self.plant { device.motion[DELAY_TICKS - 1] } else { (device.angle, device.rate) };
+                let half = 0.5 * angle;
                 *imu = ImuSample {
                     time,
                     sequence: imu.sequence.wrapping_add(1),
                     quaternion: [half.cos(), 0.0, 0.0, half.sin()].map(|x| x * device.norm),
-                    rate: [0.0, 0.0, device.rate],
+                    rate: [0.0, 0.0, rate],
                     acceleration: [0.0; 3],
                     calibration: device.calibration,
                     health: device.imu_health,
@@ -258,14 +269,22 @@ impl Rig {
         }
     }
 
-    /// The pressure follows the command through its lag, the angle the pressure if the plant is on.
+    /// The pressure follows the command through dead time, slew and lag; with the plant on, the angle follows the
+    /// pressure.
     fn move_on(&mut self, record: &TickRecord) {
         let dt = TICK.as_secs_f64();
         for (index, device) in self.devices.iter_mut().enumerate() {
-            device.pressure += (record.frees[index].command - device.pressure) * dt / 0.06;
+            device.commands.rotate_right(1);
+            device.commands[0] = record.frees[index].command;
+            let late = if self.plant { device.commands[DELAY_TICKS - 1] } else { device.commands[0] };
+            device.pressure += (late - device.pressure).clamp(-1.8 * PSI, 1.8 * PSI) * dt / 0.06;
+            device.motion.rotate_right(1);
+            device.motion[0] = (device.angle, device.rate);
             if self.plant {
                 let free = &self.frees[index];
-                let a = -2.0 * std::f64::consts::PI * free.radius.powi(3) / free.gamma.tan();
+                let tangent = free.gamma.tan();
+                let radius = free.radius / (1.0 + device.angle * free.radius / (free.length * tangent));
+                let a = -2.0 * std::f64::consts::PI * radius.powi(3) / tangent;
                 // Overdamped (ct/I = 3644 /s): the fast pole is taken as settled within the tick.
                 device.rate = (a * device.pressure - free.torsional_stiffness * device.angle) / free.torsional_damping;
                 device.angle += device.rate * dt;
