@@ -64,8 +64,8 @@ pub(super) struct RawSim {
 
 /// Line rates that the Alicat series use.
 const BAUDS: [u32; 6] = [9600, 19200, 38400, 57600, 115_200, 230_400];
-/// Longest path of a Unix socket, bytes.
-const SOCKET_PATH_MAX: usize = 107;
+/// Longest path of the control socket, bytes: the kernel takes 107, and `.estop.new` has to fit behind it.
+const SOCKET_PATH_MAX: usize = 97;
 
 /// Reads the whole of rig.toml; `base` is its directory.
 pub(super) fn read_rig(mut root: Section<'_>, base: &Path, files: &mut Files) -> RawRig {

@@ -5,14 +5,20 @@
 
 pub mod api;
 mod bench;
+pub mod client;
+mod connection;
 mod error;
+mod estop;
 pub mod experiment;
 mod handle;
 mod join;
 mod live;
 mod margin;
+pub mod notify;
 pub mod procedure;
 mod pump;
+mod server;
+mod socket;
 mod stepped;
 mod tick;
 
@@ -21,5 +27,7 @@ pub use error::{DaemonError, names};
 pub use handle::{Call, Desk, Handle, LastHeard, desk};
 pub use live::{FreeDevices, Live, LiveBench, is_vented};
 pub use pump::{Change, Pump};
+pub use server::Server;
+pub use socket::{Access, Peer, SocketError, estop_path};
 pub use stepped::Stepped;
 pub use tick::Switches;
