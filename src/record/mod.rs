@@ -14,15 +14,21 @@ mod blueprint;
 mod columns;
 mod document;
 mod error;
+mod figures;
 mod live;
+mod metrics;
 mod page;
 mod palette;
+mod plot;
+mod prediction;
 mod recorder;
 mod relay;
+mod report;
 mod rerun_sink;
 mod run;
 mod samples;
 mod shape;
+mod signals;
 
 pub use columns::column_name;
 pub use document::{
@@ -31,7 +37,10 @@ pub use document::{
 };
 pub use error::{RecordError, Result};
 pub use live::{LiveFeed, LiveOptions, LiveView};
+pub use metrics::{ErrorMetrics, FreeMetrics, Metrics, MoveMetrics};
 pub use recorder::{RecordOptions, Recorder};
+pub use report::{html, mean_and_scatter, write_report};
 pub use rerun_sink::APPLICATION_ID;
 pub use run::{DOCUMENT_NAME, REPORT_NAME, RRD_NAME, Run};
 pub use samples::{Batches, FILE_NAME as SAMPLES_NAME, Records, Table, floats};
+pub use signals::Signals;

@@ -14,6 +14,7 @@ use rerun::{
 
 use super::columns::{column_name, limit_names, state_of};
 use super::document::StartDocument;
+use super::plot::state_color;
 use super::run::RRD_NAME;
 use super::samples::floats;
 use super::shape::{self, Pose};
@@ -149,20 +150,7 @@ impl RerunSink {
                     "faulting",
                     "faulted",
                 ])
-                .with_colors(
-                    [
-                        palette::GREY,
-                        palette::GREY,
-                        palette::YELLOW,
-                        palette::BLUE,
-                        palette::GREEN,
-                        palette::PURPLE,
-                        palette::YELLOW,
-                        palette::ORANGE,
-                        palette::RED,
-                    ]
-                    .map(color),
-                ),
+                .with_colors((0..=8).map(|state| color(state_color(state)))),
         )?;
         Ok(sink)
     }

@@ -1,0 +1,229 @@
+//! The figures of a report: which signals of a run go into which plot. Degrees and psi, as on the bench.
+
+use super::columns::{column_name, limit_names, state_of};
+use super::metrics::ways;
+use super::plot::{Band, Bars, Lane, Lanes, Line, Plot, state_color};
+use super::prediction;
+use super::run::Run;
+use super::samples::Table;
+use super::signals::{Signals, interpolate};
+use super::{Result, palette};
+use crate::signal::{FaultSet, Quantity};
+use crate::units::PASCAL_PER_PSI;
+
+/// Shown before and after the program, s.
+const AROUND: f64 = 0.25;
+
+const TIME: &str = "time [s]";
+
+fn degrees(values: &[f64]) -> Vec<f64> {
+    values.iter().map(|v| v.to_degrees()).collect()
+}
+
+fn psi(values: &[f64]) -> Vec<f64> {
+    values.iter().map(|v| v / PASCAL_PER_PSI).collect()
+}
+
+/// The time that a report shows: the program and a little around it.
+pub fn shown(signals: &Signals) -> (f64, f64) {
+    let (first, last) = (signals.t.first().copied().unwrap_or(0.0), signals.t.last().copied().unwrap_or(1.0));
+    let from = signals.t.get(signals.window.start).map_or(first, |t| t - AROUND);
+    let to = signals.t.get(signals.window.end.saturating_sub(1)).map_or(last, |t| t + AROUND);
+    (from.max(first), to.min(last).max(from.max(first) + 1e-3))
+}
+
+fn over_time(signals: &Signals, y_label: &str, height: u32, lines: Vec<Line>) -> Plot {
+    let x_range = Some(shown(signals));
+    Plot { x_label: TIME.into(), y_label: y_label.into(), x_range, height, lines, ..Plot::default() }
+}
+
+/// Response against the reference, the model's prediction and, simulated, the truth.
+pub fn response(signals: &Signals, model: Option<&[f64]>) -> Plot {
+    let line = |label: &str, rgb: u32, values: &[f64]| Line::new(label, rgb, &signals.t, degrees(values));
+    let mut lines = Vec::new();
+    if signals.quantity == Quantity::Angle {
+        lines.push(line("reference", palette::GREY, &signals.reference).width(3));
+    }
+    if let Some(model) = model {
+        lines.push(line("model, from the measured pressure", palette::ORANGE, model).dashed());
+    }
+    if signals.true_angle_in_window().is_some() {
+        lines.push(line("true angle (SIMULATED)", palette::GREEN, &signals.true_angle).width(1));
+    }
+    lines.push(line("angle", palette::BLUE, &signals.angle));
+    over_time(signals, "angle [deg]", 380, lines)
+}
+
+/// Tracking error, and what the model leaves unexplained.
+pub fn error(signals: &Signals, model: Option<&[f64]>) -> Plot {
+    let mut lines = Vec::new();
+    if let Some(model) = model {
+        let rest: Vec<f64> = signals.angle.iter().zip(model).map(|(y, m)| y - m).collect();
+        lines.push(Line::new("angle - model", palette::ORANGE, &signals.t, degrees(&rest)).dashed());
+    }
+    if signals.quantity == Quantity::Angle {
+        lines.push(Line::new("reference - angle", palette::RED, &signals.t, degrees(&signals.error())));
+    }
+    over_time(signals, "error [deg]", 240, lines)
+}
+
+/// Command and measured pressure.
+pub fn pressure(signals: &Signals) -> Plot {
+    let lines = vec![
+        Line::new("command", palette::GREY, &signals.t, psi(&signals.command)).width(3),
+        Line::new("measured", palette::BLUE, &signals.t, psi(&signals.pressure)),
+    ];
+    over_time(signals, "pressure [psi]", 260, lines)
+}
+
+/// The controller's terms.
+pub fn terms(signals: &Signals) -> Plot {
+    let of = [("P", palette::BLUE), ("I", palette::GREEN), ("D", palette::ORANGE), ("feedforward", palette::PURPLE)];
+    let lines = of.iter().zip(&signals.terms).map(|((l, rgb), v)| Line::new(l, *rgb, &signals.t, psi(v))).collect();
+    over_time(signals, "terms [psi]", 260, lines)
+}
+
+/// Twist per length against pressure, both ways, with the model at rest; and the RMS deviation from it as
+/// (rad, share of the angle's range).
+pub fn sweep(signals: &Signals) -> (Plot, Option<(f64, f64)>) {
+    let window = signals.window.clone();
+    let (pressure, angle) = (&signals.pressure[window.clone()], &signals.angle[window]);
+    let length_mm = signals.free.map_or(f64::NAN, |f| f.length * 1e3);
+    let twist = |values: &[f64]| values.iter().map(|v| v.to_degrees() / length_mm).collect::<Vec<_>>();
+    let highest = pressure.iter().copied().filter(|p| p.is_finite()).fold(0.0, f64::max);
+    let (model_pressure, model) = prediction::quasi_static(signals, highest);
+    let (up, down) = ways(pressure, angle);
+    let mut lines = vec![
+        Line::new("up", palette::BLUE, &psi(&up[0]), twist(&up[1])),
+        Line::new("down", palette::GREEN, &psi(&down[0]), twist(&down[1])),
+    ];
+    let reached = model_pressure.last().copied().unwrap_or(0.0);
+    if !model.is_empty() {
+        lines.push(Line::new("model at rest", palette::ORANGE, &psi(&model_pressure), twist(&model)).dashed());
+    }
+    let both = [(&up[0], &up[1]), (&down[0], &down[1])];
+    let points = || both.iter().flat_map(|(p, y)| p.iter().zip(y.iter())).filter(|(p, _)| (0.0..=reached).contains(*p));
+    let deviation = super::metrics::rms(points().map(|(&p, &y)| y - interpolate(&model_pressure, &model, p)));
+    let range = super::metrics::range(&points().map(|(_, &y)| y).collect::<Vec<_>>());
+    let rmsd = deviation.zip(range).filter(|(_, r)| *r > 0.0).map(|(d, r)| (d, d / r));
+    let plot = Plot {
+        x_label: "pressure [psi]".into(),
+        y_label: "twist [deg/mm]".into(),
+        height: 420,
+        lines,
+        ..Plot::default()
+    };
+    (plot, rmsd)
+}
+
+/// Angle of several runs of the same experiment: mean, one standard deviation either way, and each of them.
+pub fn repeats(runs: &[Signals]) -> Plot {
+    let Some(first) = runs.first() else { return Plot::default() };
+    let t: Vec<f64> = first.t[first.window.clone()].to_vec();
+    let at = |run: &Signals| -> Vec<f64> {
+        let window = run.window.clone();
+        t.iter().map(|&t| interpolate(&run.t[window.clone()], &run.angle[window.clone()], t).to_degrees()).collect()
+    };
+    let all: Vec<Vec<f64>> = runs.iter().map(at).collect();
+    let n = all.len() as f64;
+    let mean: Vec<f64> = (0..t.len()).map(|i| all.iter().map(|y| y[i]).sum::<f64>() / n).collect();
+    let scatter: Vec<f64> = (0..t.len())
+        .map(|i| (all.iter().map(|y| (y[i] - mean[i]).powi(2)).sum::<f64>() / (n - 1.0).max(1.0)).sqrt())
+        .collect();
+    let edge = |sign: f64| mean.iter().zip(&scatter).map(|(m, s)| m + sign * s).collect::<Vec<_>>();
+    // As many points as a band can show.
+    let step = t.len().div_ceil(1500).max(1);
+    let every = |v: &[f64]| v.iter().copied().step_by(step).collect::<Vec<_>>();
+    let band = Band {
+        label: "one standard deviation".into(),
+        rgb: palette::BLUE,
+        x: every(&t),
+        low: every(&edge(-1.0)),
+        high: every(&edge(1.0)),
+    };
+    let mut lines: Vec<Line> = Vec::new();
+    if first.quantity == Quantity::Angle {
+        let reference = degrees(&first.reference[first.window.clone()]);
+        lines.push(Line::new("reference", palette::GREY, &t, reference).width(2));
+    }
+    lines.extend(all.into_iter().map(|y| Line::new("", palette::YELLOW, &t, y).width(1)));
+    lines.push(Line::new(&format!("mean of {n} runs"), palette::BLUE, &t, mean));
+    Plot {
+        x_label: TIME.into(),
+        y_label: "angle [deg]".into(),
+        height: 340,
+        bands: vec![band],
+        lines,
+        ..Plot::default()
+    }
+}
+
+/// How many ticks woke up how late, and took how long.
+pub fn latency(run: &Run) -> Result<Bars> {
+    const BINS: usize = 60;
+    let table = run.table(&["latency_ns".into(), "execution_ns".into()])?;
+    let micros = |name: &str| table.get(name).iter().map(|v| v * 1e-3).collect::<Vec<_>>();
+    let (latency, execution) = (micros("latency_ns"), micros("execution_ns"));
+    // To the 99.9th percentile; the last bar takes all that is later.
+    let mut sorted = [latency.clone(), execution.clone()].concat();
+    sorted.sort_by(f64::total_cmp);
+    let most = sorted.get(sorted.len() * 999 / 1000).copied().unwrap_or(1.0).max(1e-3);
+    let edge = |i: usize| most * i as f64 / BINS as f64;
+    let bars = |values: &[f64]| {
+        let mut counts = vec![0u64; BINS];
+        for v in values {
+            counts[((v / most * BINS as f64) as usize).min(BINS - 1)] += 1;
+        }
+        counts.into_iter().enumerate().map(|(i, n)| (edge(i), edge(i + 1), n)).collect::<Vec<_>>()
+    };
+    Ok(Bars {
+        x_label: "time [us]; the last bar counts all that is later".into(),
+        height: 240,
+        series: vec![
+            ("from the deadline to the wake-up".into(), palette::BLUE, bars(&latency)),
+            ("execution".into(), palette::ORANGE, bars(&execution)),
+        ],
+    })
+}
+
+/// States, faults and limits over time. `signals` gives the time base.
+pub fn timeline(run: &Run, signals: &Signals) -> Result<Lanes> {
+    let names = run.names();
+    let mut columns: Vec<String> = ["state", "rig_faults", "latched_faults"].map(String::from).into();
+    columns.extend(names.iter().flat_map(|n| [column_name(n, "faults"), column_name(n, "limits")]));
+    let table: Table = run.table(&columns)?;
+    let spans = |column: &str, shown: &dyn Fn(u32) -> Option<(u32, String)>| {
+        let codes = table.get(column);
+        let mut spans = Vec::new();
+        let mut from = 0;
+        for i in 1..=codes.len() {
+            if i < codes.len() && codes[i] == codes[from] {
+                continue;
+            }
+            let end = signals.t.get(i).or(signals.t.last()).copied().unwrap_or(0.0);
+            if let (Some((rgb, text)), Some(&start)) = (shown(codes[from] as u32), signals.t.get(from)) {
+                spans.push((start, end, rgb, text));
+            }
+            from = i;
+        }
+        spans
+    };
+    let faults = |set: u32| {
+        let names: Vec<_> = FaultSet(set).iter().map(|c| c.name()).collect();
+        (!names.is_empty()).then(|| (palette::RED, names.join(", ")))
+    };
+    let limits = |set: u32| {
+        let names: Vec<_> = limit_names(set as u8).collect();
+        (!names.is_empty()).then(|| (palette::ORANGE, names.join(", ")))
+    };
+    let state = |code: u32| Some((state_color(code as u8), state_of(code as u8).name().to_owned()));
+    let mut lanes = vec![Lane { name: "state".into(), spans: spans("state", &state) }];
+    for name in &names {
+        lanes.push(Lane { name: format!("{name}: limits"), spans: spans(&column_name(name, "limits"), &limits) });
+        lanes.push(Lane { name: format!("{name}: faults"), spans: spans(&column_name(name, "faults"), &faults) });
+    }
+    lanes.push(Lane { name: "rig: faults".into(), spans: spans("rig_faults", &faults) });
+    lanes.push(Lane { name: "latched".into(), spans: spans("latched_faults", &faults) });
+    let whole = (signals.t.first().copied().unwrap_or(0.0), signals.t.last().copied().unwrap_or(1.0));
+    Ok(Lanes { x_label: TIME.into(), x_range: (whole.0, whole.1.max(whole.0 + 1e-3)), lanes })
+}

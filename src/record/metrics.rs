@@ -1,0 +1,385 @@
+//! The figures of a run. Angles in rad, pressures in Pa, times in s; `None` where there is no such figure.
+//!
+//! | figure | definition |
+//! | --- | --- |
+//! | RMS, peak error | of reference - angle while the program runs |
+//! | final error | mean over the last 0.1 s of the program |
+//! | move | from one hold of the reference (at least 0.2 s) to the next; steps and smooth moves alike |
+//! | overshoot | greatest excursion beyond the move's target, in the move's direction |
+//! | settling time | from the move's start until the angle stays within 2 % of the move for the rest of the hold |
+//! | steady error | mean error over the last fifth of the hold |
+//! | RMSD to the model | RMS of angle - model over the range of the reference (of the angle in a sweep), and in rad |
+//! | hysteresis | greatest difference of the angle between the ways up and down at one pressure, over its range |
+//!
+//! The angle is the estimate that the controller acts on; with the simulated rig the same figures of the true
+//! angle stand beside.
+
+use serde::Serialize;
+
+use super::Result;
+use super::prediction;
+use super::run::Run;
+use super::signals::{Signals, interpolate};
+use crate::signal::Quantity;
+
+/// Share of a move within which the angle counts as settled.
+const SETTLED: f64 = 0.02;
+/// Shortest stand-still of the reference that counts as a hold, s.
+const SHORTEST_HOLD: f64 = 0.2;
+/// Smallest difference between two holds that counts as a move, rad.
+const SMALLEST_MOVE: f64 = 0.0087;
+
+/// Figures of a run.
+#[derive(Clone, Debug, Serialize)]
+pub struct Metrics {
+    /// The run.
+    pub id: String,
+    /// Whether devices and plant were simulated.
+    pub simulated: bool,
+    /// Whether the run has ended.
+    pub complete: bool,
+    /// Records read.
+    pub records: u64,
+    /// Periods skipped because of overruns.
+    pub deadline_misses: u64,
+    /// By FREE.
+    pub frees: Vec<FreeMetrics>,
+}
+
+/// Figures of one FREE.
+#[derive(Clone, Debug, Serialize)]
+pub struct FreeMetrics {
+    /// Its name.
+    pub free: String,
+    /// What was asked: `angle`, `pressure` or `none`.
+    pub quantity: Quantity,
+    /// Errors of the estimated angle; with an angle reference only.
+    pub error: Option<ErrorMetrics>,
+    /// Errors of the true angle; simulated only.
+    pub true_error: Option<ErrorMetrics>,
+    /// The moves of the reference, in order.
+    pub moves: Vec<MoveMetrics>,
+    /// RMS of angle - model, rad.
+    pub model_rmsd_rad: Option<f64>,
+    /// The same over the range of the reference (of the angle in a sweep), per cent.
+    pub model_rmsd_percent: Option<f64>,
+    /// Why there is no comparison with the model.
+    pub model_refusal: Option<String>,
+    /// Greatest difference between the ways up and down, rad; in a sweep only.
+    pub hysteresis_rad: Option<f64>,
+    /// The same over the range of the angle, per cent.
+    pub hysteresis_percent: Option<f64>,
+    /// Highest measured pressure, Pa.
+    pub highest_pressure_pa: Option<f64>,
+}
+
+/// Errors while the program runs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct ErrorMetrics {
+    /// Root of the mean square, rad.
+    pub rms_rad: f64,
+    /// Greatest magnitude, rad.
+    pub peak_rad: f64,
+    /// Mean over the last 0.1 s, rad.
+    pub final_rad: f64,
+}
+
+/// One move.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MoveMetrics {
+    /// When the reference leaves the hold before, s since the program's start.
+    pub start_s: f64,
+    /// Where from, rad.
+    pub from_rad: f64,
+    /// Where to, rad.
+    pub to_rad: f64,
+    /// Excursion beyond the target, rad.
+    pub overshoot_rad: f64,
+    /// The same over the move, per cent.
+    pub overshoot_percent: f64,
+    /// Time until it stays within 2 %, s; `None` where it does not.
+    pub settling_s: Option<f64>,
+    /// Mean error over the last fifth of the hold, rad.
+    pub steady_error_rad: f64,
+}
+
+impl Metrics {
+    /// The figures of `run`.
+    ///
+    /// # Errors
+    /// Where its samples cannot be read.
+    pub fn of(run: &Run) -> Result<Self> {
+        let signals = Signals::load_all(run)?;
+        let predictions: Vec<_> = signals.iter().map(prediction::dynamic).collect();
+        Self::from(run, &signals, &predictions)
+    }
+
+    /// The same from signals and predictions that have been made already.
+    pub(super) fn from(
+        run: &Run,
+        signals: &[Signals],
+        predictions: &[std::result::Result<Vec<f64>, String>],
+    ) -> Result<Self> {
+        let table = run.table(&["skipped".into()])?;
+        let skipped = table.get("skipped");
+        let misses = skipped.last().unwrap_or(&0.0) - skipped.first().unwrap_or(&0.0);
+        Ok(Self {
+            id: run.id().into(),
+            simulated: run.start().simulated(),
+            complete: run.is_complete(),
+            records: table.len() as u64,
+            deadline_misses: misses.max(0.0) as u64,
+            frees: signals.iter().zip(predictions).map(|(s, p)| FreeMetrics::of(s, p)).collect(),
+        })
+    }
+}
+
+impl FreeMetrics {
+    fn of(signals: &Signals, prediction: &std::result::Result<Vec<f64>, String>) -> Self {
+        let window = signals.window.clone();
+        let (t, reference) = (&signals.t[window.clone()], &signals.reference[window.clone()]);
+        let angle = &signals.angle[window.clone()];
+        let angular = signals.quantity == Quantity::Angle;
+        let sweep = signals.quantity == Quantity::Pressure;
+        let (model_rmsd_rad, model_refusal) = match prediction {
+            Ok(model) => (rms(angle.iter().zip(&model[window.clone()]).map(|(y, m)| y - m)), None),
+            Err(reason) => (None, Some(reason.clone())),
+        };
+        let range = range(if angular { reference } else { angle });
+        let percent = |value: Option<f64>| Some(100.0 * value? / range.filter(|r| *r > 0.0)?);
+        let hysteresis_rad = if sweep { hysteresis(&signals.pressure[window.clone()], angle) } else { None };
+        Self {
+            free: signals.name.clone(),
+            quantity: signals.quantity,
+            error: angular.then(|| ErrorMetrics::of(t, reference, angle)).flatten(),
+            true_error: signals
+                .true_angle_in_window()
+                .filter(|_| angular)
+                .and_then(|truth| ErrorMetrics::of(t, reference, truth)),
+            moves: if angular { moves(t, reference, angle) } else { Vec::new() },
+            model_rmsd_rad,
+            model_rmsd_percent: percent(model_rmsd_rad),
+            model_refusal,
+            hysteresis_rad,
+            hysteresis_percent: percent(hysteresis_rad),
+            highest_pressure_pa: signals.pressure.iter().copied().filter(|p| p.is_finite()).reduce(f64::max),
+        }
+    }
+}
+
+impl ErrorMetrics {
+    /// Errors of `y` against `reference` at `t`; `None` where there is no pair of numbers.
+    pub fn of(t: &[f64], reference: &[f64], y: &[f64]) -> Option<Self> {
+        let errors: Vec<(f64, f64)> = t
+            .iter()
+            .zip(reference.iter().zip(y))
+            .map(|(&t, (r, y))| (t, r - y))
+            .filter(|(_, e)| e.is_finite())
+            .collect();
+        let end = errors.last()?.0;
+        let last: Vec<f64> = errors.iter().filter(|(t, _)| *t >= end - 0.1).map(|(_, e)| *e).collect();
+        Some(Self {
+            rms_rad: rms(errors.iter().map(|(_, e)| *e))?,
+            peak_rad: errors.iter().fold(0.0, |peak, (_, e)| f64::max(peak, e.abs())),
+            final_rad: last.iter().sum::<f64>() / last.len() as f64,
+        })
+    }
+}
+
+/// The moves between the holds of `reference`; the first starts from the angle at the start.
+pub fn moves(t: &[f64], reference: &[f64], y: &[f64]) -> Vec<MoveMetrics> {
+    let mut moves = Vec::new();
+    let Some(&first) = y.first() else { return moves };
+    let (mut from, mut start) = (first, 0);
+    let mut hold = 0;
+    for i in 1..=reference.len() {
+        if i < reference.len() && (reference[i] - reference[hold]).abs() <= 1e-9 {
+            continue;
+        }
+        // hold..i stands still.
+        if t[i - 1] - t[hold] >= SHORTEST_HOLD {
+            let to = reference[hold];
+            if (to - from).abs() >= SMALLEST_MOVE {
+                moves.push(one_move(&t[start..i], &y[start..i], (from, to), t[hold]));
+            }
+            (from, start) = (to, i);
+        }
+        hold = i;
+    }
+    moves
+}
+
+fn one_move(t: &[f64], y: &[f64], (from, to): (f64, f64), hold_start: f64) -> MoveMetrics {
+    let size = to - from;
+    let beyond = y.iter().map(|y| (y - to) * size.signum()).fold(0.0, f64::max);
+    let settled = |y: &f64| (y - to).abs() <= SETTLED * size.abs();
+    let settling_s = match y.iter().rposition(|y| !settled(y)) {
+        None => Some(0.0),
+        Some(last) => t.get(last + 1).map(|&at| at - t[0]),
+    };
+    let end = t[t.len() - 1];
+    let fifth = end - 0.2 * (end - hold_start);
+    let (sum, count) =
+        t.iter().zip(y).filter(|(t, _)| **t >= fifth).fold((0.0, 0.0), |(s, n), (_, y)| (s + to - y, n + 1.0));
+    MoveMetrics {
+        start_s: t[0],
+        from_rad: from,
+        to_rad: to,
+        overshoot_rad: beyond,
+        overshoot_percent: 100.0 * beyond / size.abs(),
+        settling_s,
+        steady_error_rad: sum / count,
+    }
+}
+
+/// Greatest difference of `angle` between the ways up and down at one pressure, rad; `None` without both ways.
+pub fn hysteresis(pressure: &[f64], angle: &[f64]) -> Option<f64> {
+    const BINS: usize = 50;
+    let (up, down) = ways(pressure, angle);
+    let low = f64::max(*up[0].first()?, *down[0].first()?);
+    let high = f64::min(*up[0].last()?, *down[0].last()?);
+    if high <= low {
+        return None;
+    }
+    // Means over pieces of the range keep the noise of single readings out.
+    let mean = |way: &[Vec<f64>; 2], from: f64, to: f64| {
+        let inside = |p: f64| p >= from && p < to;
+        let (sum, n) =
+            way[0].iter().zip(&way[1]).filter(|(p, _)| inside(**p)).fold((0.0, 0), |(s, n), (_, y)| (s + y, n + 1));
+        (n > 0).then(|| sum / f64::from(n))
+    };
+    (0..BINS)
+        .filter_map(|i| {
+            let edge = |i: usize| low + (high - low) * i as f64 / BINS as f64;
+            let (from, to) = (edge(i), edge(i + 1));
+            Some((mean(&down, from, to)? - mean(&up, from, to)?).abs())
+        })
+        .reduce(f64::max)
+}
+
+/// The ways up and down of a sweep, each as (pressure, angle) sorted by pressure; the highest pressure divides
+/// them.
+pub fn ways(pressure: &[f64], angle: &[f64]) -> ([Vec<f64>; 2], [Vec<f64>; 2]) {
+    let top = (0..pressure.len()).max_by(|&a, &b| pressure[a].total_cmp(&pressure[b])).unwrap_or(0);
+    let way = |from: usize, to: usize| {
+        let mut points: Vec<(f64, f64)> = pressure[from..to]
+            .iter()
+            .copied()
+            .zip(angle[from..to].iter().copied())
+            .filter(|(p, y)| p.is_finite() && y.is_finite())
+            .collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (p, y) = points.into_iter().unzip();
+        [p, y]
+    };
+    (way(0, top.min(pressure.len())), way(top, pressure.len()))
+}
+
+/// Root of the mean square of the numbers in `values`; `None` where there are none.
+pub fn rms(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, n) = values.filter(|v| v.is_finite()).fold((0.0, 0.0), |(s, n), v| (s + v * v, n + 1.0));
+    (n > 0.0).then(|| (sum / n).sqrt())
+}
+
+/// Greatest minus smallest number in `values`.
+pub fn range(values: &[f64]) -> Option<f64> {
+    let numbers = || values.iter().copied().filter(|v| v.is_finite());
+    Some(numbers().reduce(f64::max)? - numbers().reduce(f64::min)?)
+}
+
+/// RMS of the difference of two histories on the time base of the first, where both are defined, and the range
+/// of the first.
+pub fn deviation(a: (&[f64], &[f64]), b: (&[f64], &[f64])) -> Option<(f64, f64)> {
+    let (first, last) = (b.0.first()?, b.0.last()?);
+    let common: Vec<(f64, f64)> =
+        a.0.iter()
+            .zip(a.1)
+            .filter(|(t, y)| *t >= first && *t <= last && y.is_finite())
+            .map(|(&t, &y)| (y, interpolate(b.0, b.1, t)))
+            .collect();
+    let values: Vec<f64> = common.iter().map(|c| c.0).collect();
+    Some((rms(common.iter().map(|(x, y)| x - y))?, range(&values)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 0.01 s apart.
+    fn times(n: usize) -> Vec<f64> {
+        (0..n).map(|i| 0.01 * i as f64).collect()
+    }
+
+    #[test]
+    fn errors_are_those_computed_by_hand() {
+        let t = times(100);
+        let reference = vec![1.0; 100];
+        let y: Vec<f64> = (0..100).map(|i| if i < 50 { 0.0 } else { 0.9 }).collect();
+        let e = ErrorMetrics::of(&t, &reference, &y).unwrap();
+        assert!((e.rms_rad - (0.5f64 * (1.0 + 0.01)).sqrt()).abs() < 1e-12);
+        assert_eq!(e.peak_rad, 1.0);
+        assert!((e.final_rad - 0.1).abs() < 1e-12);
+        assert_eq!(ErrorMetrics::of(&t, &[f64::NAN; 100], &y), None);
+    }
+
+    #[test]
+    fn a_damped_step_has_its_textbook_overshoot_and_settling_time() {
+        // Second order, ratio 0.5: overshoot exp(-pi 0.5/sqrt(0.75)) = 16.30 %.
+        let (zeta, omega) = (0.5f64, 20.0);
+        let damped = omega * (1.0 - zeta * zeta).sqrt();
+        let step = |t: f64| {
+            1.0 - (-zeta * omega * t).exp() * ((damped * t).cos() + zeta * omega / damped * (damped * t).sin())
+        };
+        let t: Vec<f64> = (0..4000).map(|i| 1e-3 * i as f64).collect();
+        let reference: Vec<f64> = t.iter().map(|&t| if t < 2.0 { 1.0 } else { 0.5 }).collect();
+        let y: Vec<f64> = t.iter().map(|&t| if t < 2.0 { step(t) } else { 1.0 - 0.5 * step(t - 2.0) }).collect();
+        let moves = moves(&t, &reference, &y);
+        assert_eq!(moves.len(), 2);
+        // By bisection of the envelope's last crossing of 2 %.
+        let settling = (0..4000).rev().find(|&i| (step(1e-3 * f64::from(i)) - 1.0).abs() > 0.02).unwrap();
+        for (m, start) in moves.iter().zip([0.0, 2.0]) {
+            assert!((m.overshoot_percent - 16.3034).abs() < 0.01, "{m:?}");
+            assert!((m.start_s - start).abs() < 1e-9);
+            assert!((m.settling_s.unwrap() - 1e-3 * f64::from(settling + 1)).abs() < 1.5e-3, "{m:?} {settling}");
+            assert!(m.steady_error_rad.abs() < 1e-6);
+        }
+        assert_eq!((moves[1].from_rad, moves[1].to_rad), (1.0, 0.5));
+    }
+
+    #[test]
+    fn a_response_that_never_settles_has_no_settling_time() {
+        let t = times(300);
+        let m = moves(&t, &[1.0; 300], &t.iter().map(|t| if *t == 0.0 { 0.0 } else { 0.9 }).collect::<Vec<_>>());
+        assert_eq!(m[0].settling_s, None);
+        assert!((m[0].steady_error_rad - 0.1).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_sinusoid_has_no_moves() {
+        let t = times(1000);
+        let reference: Vec<f64> = t.iter().map(|t| (3.0 * t).sin()).collect();
+        assert!(moves(&t, &reference, &reference).is_empty());
+    }
+
+    #[test]
+    fn the_width_of_a_loop_is_found() {
+        let up: Vec<f64> = (0..=1000).map(|i| 1e-3 * f64::from(i)).collect();
+        let down: Vec<f64> = up.iter().rev().copied().collect();
+        // A lens: 0.2 wide in the middle.
+        let lens = |p: f64| 0.4 * p * (1.0 - p);
+        let angle: Vec<f64> = up.iter().map(|p| p - lens(*p)).chain(down.iter().map(|p| p + lens(*p))).collect();
+        let width = hysteresis(&[up, down].concat(), &angle).unwrap();
+        assert!((width - 0.2).abs() < 1e-3, "{width}");
+        assert_eq!(hysteresis(&[], &[]), None);
+    }
+
+    #[test]
+    fn two_histories_are_compared_on_a_common_time_base() {
+        let (a, b) = (times(100), (0..50).map(|i| 0.02 * i as f64).collect::<Vec<_>>());
+        let (ya, yb): (Vec<f64>, Vec<f64>) =
+            (a.iter().map(|t| 2.0 * t).collect(), b.iter().map(|t| 2.0 * t + 0.3).collect());
+        let (deviation, range) = deviation((&a, &ya), (&b, &yb)).unwrap();
+        assert!((deviation - 0.3).abs() < 1e-12);
+        assert!((range - 1.96).abs() < 1e-12);
+    }
+}

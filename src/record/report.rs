@@ -1,0 +1,369 @@
+//! `report.html`: one page, self-contained (plots inline, no script), to be read, printed and mailed.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use super::document::{RunKind, StartDocument, StopDocument};
+use super::metrics::{ErrorMetrics, FreeMetrics, Metrics};
+use super::run::{REPORT_NAME, Run, write_atomically};
+use super::signals::Signals;
+use super::{Result, figures, prediction};
+use crate::signal::Quantity;
+use crate::units::PASCAL_PER_PSI;
+
+const STYLE: &str = include_str!("report.css");
+
+/// Makes the report of `run` in its folder; returns where it is.
+///
+/// # Errors
+/// Where the samples cannot be read or the file cannot be written.
+pub fn write_report(run: &Run) -> Result<PathBuf> {
+    let path = run.folder.join(REPORT_NAME);
+    write_atomically(&path, html(run)?.as_bytes())?;
+    Ok(path)
+}
+
+/// The report of `run` as HTML.
+///
+/// # Errors
+/// Where the samples cannot be read.
+pub fn html(run: &Run) -> Result<String> {
+    let start = run.start();
+    let signals = Signals::load_all(run)?;
+    let predictions: Vec<_> = signals.iter().map(prediction::dynamic).collect();
+    let metrics = Metrics::from(run, &signals, &predictions)?;
+
+    let title = heading(start);
+    let mut page = Page::default();
+    page.raw("<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">");
+    page.raw("<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">");
+    page.raw(&format!("<title>{} - freerig</title><style>{STYLE}</style></head><body>", escape(&title)));
+    page.raw("<header>");
+    page.raw(&format!("<h1>{}</h1><p class=\"badges\">", escape(&title)));
+    if start.simulated() {
+        page.badge("simulated", "SIMULATED");
+    }
+    page.badge(run.result_name(), run.result_name());
+    if !run.is_complete() {
+        page.raw("</p><p class=\"warning\">This run has no stop document: it was cut off. What is shown was recorded up to then.");
+    }
+    page.raw("</p>");
+    if !start.note.is_empty() {
+        page.raw(&format!("<p class=\"note\">{}</p>", escape(&start.note)));
+    }
+    page.raw("</header><main>");
+
+    for ((signals, prediction), metrics) in signals.iter().zip(&predictions).zip(&metrics.frees) {
+        free_section(&mut page, start, signals, prediction, metrics)?;
+    }
+    repeats(&mut page, run)?;
+    page.raw("<section><h2>States, faults, limits</h2>");
+    if let Some(first) = signals.first() {
+        page.raw(&figures::timeline(run, first)?.svg()?);
+    }
+    faults(&mut page, run.stop());
+    page.raw("</section><section><h2>Loop</h2>");
+    loop_table(&mut page, run, &metrics);
+    page.raw(&figures::latency(run)?.svg()?);
+    page.raw("</section><section><h2>What ran</h2>");
+    provenance(&mut page, run);
+    page.raw("</section></main><footer>");
+    page.raw(&format!(
+        "<p>Errors are reference - angle while the program ran; the angle is the estimate that the controller acts on. \
+         Settling: until within 2 % of the move for the rest of the hold. Steady error: mean over the last fifth of \
+         the hold. RMSD: RMS of angle - model over the range of the {}. freerig {}.</p>",
+        if start.kind == RunKind::Sweep { "angle" } else { "reference" },
+        escape(&start.freerig_version)
+    ));
+    page.raw("</footer></body></html>\n");
+    Ok(page.0)
+}
+
+fn heading(start: &StartDocument) -> String {
+    let what = if start.title.is_empty() { start.kind.name() } else { &start.title };
+    if start.subject.is_empty() { what.into() } else { format!("{what} - {}", start.subject) }
+}
+
+fn free_section(
+    page: &mut Page,
+    start: &StartDocument,
+    signals: &Signals,
+    prediction: &std::result::Result<Vec<f64>, String>,
+    metrics: &FreeMetrics,
+) -> Result<()> {
+    let simulated = start.simulated();
+    page.raw(&format!("<section><h2>{}</h2>", escape(&signals.name)));
+    let model = prediction.as_ref().ok().map(Vec::as_slice);
+    let mut swept = None;
+    if signals.quantity == Quantity::Pressure {
+        let (plot, rmsd) = figures::sweep(signals);
+        swept = Some((plot.svg()?, rmsd));
+    }
+    figures_table(page, metrics, simulated, swept.as_ref().and_then(|s| s.1));
+    if let Some(reason) = &metrics.model_refusal {
+        page.raw(&format!("<p class=\"warning\">No comparison with the model: {}</p>", escape(reason)));
+    }
+    if let Some((svg, _)) = &swept {
+        page.figure("Twist against pressure", svg);
+    }
+    page.figure("Response", &figures::response(signals, model).svg()?);
+    page.figure("Error", &figures::error(signals, model).svg()?);
+    page.figure("Pressure", &figures::pressure(signals).svg()?);
+    if signals.quantity == Quantity::Angle {
+        page.figure("Controller's terms", &figures::terms(signals).svg()?);
+        moves_table(page, metrics);
+    }
+    page.raw("</section>");
+    Ok(())
+}
+
+fn figures_table(page: &mut Page, metrics: &FreeMetrics, simulated: bool, swept: Option<(f64, f64)>) {
+    page.raw("<div class=\"cards\">");
+    let degrees = |rad: f64| format!("{:.3}&deg;", rad.to_degrees());
+    if let Some(ErrorMetrics { rms_rad, peak_rad, final_rad }) = metrics.error {
+        page.card("RMS error", &degrees(rms_rad));
+        page.card("peak error", &degrees(peak_rad));
+        page.card("final error", &degrees(final_rad));
+    }
+    if let (Some(rad), Some(percent)) = (metrics.model_rmsd_rad, metrics.model_rmsd_percent) {
+        page.card("RMSD to the model", &format!("{percent:.2} % <small>{}</small>", degrees(rad)));
+    }
+    if let Some((rad, share)) = swept {
+        page.card("RMSD to the model at rest", &format!("{:.2} % <small>{}</small>", 100.0 * share, degrees(rad)));
+    }
+    if let (Some(rad), Some(percent)) = (metrics.hysteresis_rad, metrics.hysteresis_percent) {
+        page.card("hysteresis", &format!("{percent:.2} % <small>{}</small>", degrees(rad)));
+    }
+    if let Some(pressure) = metrics.highest_pressure_pa {
+        page.card("highest pressure", &format!("{:.2} psi", pressure / PASCAL_PER_PSI));
+    }
+    if let Some(truth) = metrics.true_error.filter(|_| simulated) {
+        page.card("RMS error of the true angle (SIMULATED)", &degrees(truth.rms_rad));
+        page.card("its peak (SIMULATED)", &degrees(truth.peak_rad));
+    }
+    page.raw("</div>");
+}
+
+fn moves_table(page: &mut Page, metrics: &FreeMetrics) {
+    if metrics.moves.is_empty() {
+        return;
+    }
+    page.raw("<table><caption>Moves</caption><thead><tr><th>at</th><th>from</th><th>to</th><th>overshoot</th>");
+    page.raw("<th>settling</th><th>steady error</th></tr></thead><tbody>");
+    for m in &metrics.moves {
+        let settling = m.settling_s.map_or("does not settle".into(), |s| format!("{s:.3} s"));
+        page.raw(&format!(
+            "<tr><td>{:.2} s</td><td>{:.1}&deg;</td><td>{:.1}&deg;</td><td>{:.2} % <small>{:.3}&deg;</small></td>\
+             <td>{settling}</td><td>{:.3}&deg;</td></tr>",
+            m.start_s,
+            m.from_rad.to_degrees(),
+            m.to_rad.to_degrees(),
+            m.overshoot_percent,
+            m.overshoot_rad.to_degrees(),
+            m.steady_error_rad.to_degrees(),
+        ));
+    }
+    page.raw("</tbody></table>");
+}
+
+/// Mean and scatter over the runs of a `--repeat` group, as far as they have been run.
+fn repeats(page: &mut Page, run: &Run) -> Result<()> {
+    let group = group_of(run)?;
+    if group.len() < 2 {
+        return Ok(());
+    }
+    let signals: Vec<Signals> = group.iter().filter_map(|r| Signals::load_all(r).ok()?.into_iter().next()).collect();
+    page.raw(&format!("<section><h2>{} repetitions</h2>", group.len()));
+    let metrics: Vec<Metrics> = group.iter().filter_map(|r| Metrics::of(r).ok()).collect();
+    let of = |pick: &dyn Fn(&FreeMetrics) -> Option<f64>| -> Vec<f64> {
+        metrics.iter().filter_map(|m| pick(m.frees.first()?)).collect()
+    };
+    page.raw("<div class=\"cards\">");
+    let degrees = 180.0 / std::f64::consts::PI;
+    let rows: [(&str, Vec<f64>, f64, &str); 4] = [
+        ("RMS error", of(&|m| Some(m.error?.rms_rad)), degrees, "&deg;"),
+        ("peak error", of(&|m| Some(m.error?.peak_rad)), degrees, "&deg;"),
+        ("RMSD to the model", of(&|m| m.model_rmsd_percent), 1.0, " %"),
+        ("hysteresis", of(&|m| m.hysteresis_percent), 1.0, " %"),
+    ];
+    for (name, values, scale, unit) in rows {
+        if let Some((mean, scatter)) = mean_and_scatter(&values) {
+            page.card(name, &format!("{:.3}{unit} <small>&plusmn; {:.3}{unit}</small>", mean * scale, scatter * scale));
+        }
+    }
+    page.raw("</div>");
+    page.figure("Response", &figures::repeats(&signals).svg()?);
+    page.raw("</section>");
+    Ok(())
+}
+
+/// The runs of the same group, in the order of their repetition; only `run` where it has none.
+pub(super) fn group_of(run: &Run) -> Result<Vec<Run>> {
+    let Some(own) = &run.start().repetition else { return Ok(vec![run.clone()]) };
+    let own = if own.group.is_empty() { run.id() } else { &own.group };
+    let Some(runs) = run.folder.parent() else { return Ok(vec![run.clone()]) };
+    let mut group: Vec<Run> = Run::list(runs)?
+        .into_iter()
+        .flatten()
+        .filter(|r| r.id() == own || r.start().repetition.as_ref().is_some_and(|x| x.group == own))
+        .collect();
+    group.sort_by_key(|r| r.start().repetition.as_ref().map_or(0, |x| x.index));
+    Ok(group)
+}
+
+/// Mean and sample standard deviation; `None` without values.
+pub fn mean_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let sum: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+    (!values.is_empty()).then(|| (mean, (sum / (n - 1.0).max(1.0)).sqrt()))
+}
+
+fn faults(page: &mut Page, stop: Option<&StopDocument>) {
+    let Some(stop) = stop else { return };
+    if !stop.message.is_empty() {
+        page.raw(&format!("<p class=\"warning\">{}</p>", escape(&stop.message)));
+    }
+    if stop.faults.is_empty() {
+        page.raw("<p>No fault was seen.</p>");
+        return;
+    }
+    page.raw("<table><caption>First time that each fault was seen</caption><thead><tr><th>at</th><th>fault</th>");
+    page.raw("<th>FREE</th><th>latched</th><th class=\"text\">what</th></tr></thead><tbody>");
+    for f in &stop.faults {
+        page.raw(&format!(
+            "<tr><td>{:.3} s</td><td>{} <small>{}</small></td><td>{}</td><td>{}</td><td class=\"text\">{}</td></tr>",
+            f.t_s,
+            escape(&f.name),
+            f.code,
+            escape(f.free.as_deref().unwrap_or("rig")),
+            if f.latched { "yes" } else { "no" },
+            escape(&f.message)
+        ));
+    }
+    page.raw("</tbody></table>");
+}
+
+fn loop_table(page: &mut Page, run: &Run, metrics: &Metrics) {
+    page.raw("<div class=\"cards\">");
+    page.card("records", &metrics.records.to_string());
+    page.card("deadline misses", &metrics.deadline_misses.to_string());
+    if let Some(stop) = run.stop() {
+        let l = &stop.loop_statistics;
+        page.card("records lost", &stop.lost_records.to_string());
+        page.card("wake-up p50, p99, max", &micros([l.latency_p50_us, l.latency_p99_us, l.latency_max_us]));
+        page.card("execution p50, p99, max", &micros([l.execution_p50_us, l.execution_p99_us, l.execution_max_us]));
+    }
+    page.raw("</div>");
+    if run.start().stepped {
+        page.raw("<p>On the stepped clock: these times are simulated, not this machine's.</p>");
+    }
+}
+
+fn micros(values: [f64; 3]) -> String {
+    values.map(|v| if v < 10.0 { format!("{v:.1}") } else { format!("{v:.0}") }).join(", ") + " &micro;s"
+}
+
+fn provenance(page: &mut Page, run: &Run) {
+    let start = run.start();
+    page.raw("<table class=\"facts\"><tbody>");
+    page.fact("run", run.id());
+    page.fact("experiment", start.kind.name());
+    page.fact("started", &start.started);
+    if let Some(stop) = run.stop() {
+        page.fact("duration", &format!("{:.3} s", stop.duration_s));
+    }
+    if let Some(r) = &start.repetition {
+        page.fact("repetition", &format!("{} of {}", r.index, r.of));
+    }
+    let clock = if start.stepped { ", stepped clock" } else { ", real time" };
+    let backend = if start.simulated() { "SIMULATED devices and plant" } else { "devices on this machine's buses" };
+    let seed = start.seed.map_or(String::new(), |s| format!(", seed {s}"));
+    page.fact("rig", &format!("{backend}{clock}{seed}"));
+    page.fact("tick", &format!("{:.3} ms ({:.0} Hz)", start.tick_period_s * 1e3, 1.0 / start.tick_period_s));
+    let granted = if start.realtime.granted { "granted" } else { "not granted" };
+    page.fact("real-time rights", format!("{granted} {}", start.realtime.detail).trim());
+    for free in &start.frees {
+        let g = &free.gains;
+        let preset = if free.preset.is_empty() { String::new() } else { format!(" ({})", free.preset) };
+        page.fact(
+            &format!("gains of {}", free.name),
+            &format!(
+                "Kp {} Pa/rad, Ki {} Pa/(rad s), Kd {} Pa s/rad{preset}",
+                g.proportional_pa_per_rad, g.integral_pa_per_rad_s, g.derivative_pa_s_per_rad
+            ),
+        );
+        let m = &free.model;
+        page.fact(
+            &format!("model of {}", free.name),
+            &format!(
+                "winding angle {:.1} deg, length {:.0} mm, fibre radius {:.2} mm, kt {} N m/rad, ke {} N/m, ct {} N m s/rad",
+                m.gamma_rad.to_degrees(),
+                m.length_m * 1e3,
+                m.radius_m * 1e3,
+                m.torsional_stiffness_nm_per_rad,
+                m.axial_stiffness_n_per_m,
+                m.torsional_damping_nms_per_rad
+            ),
+        );
+        if !free.calibration_sha256.is_empty() {
+            page.fact(&format!("calibration of {}", free.name), &format!("sha256 {}", free.calibration_sha256));
+        }
+    }
+    if !start.rig_sha256.is_empty() {
+        page.fact("rig.toml", &format!("sha256 {}", start.rig_sha256));
+    }
+    page.fact("software", &format!("freerig {} on {} ({})", start.freerig_version, start.host, start.kernel));
+    page.raw("</tbody></table>");
+}
+
+/// The page as it is written.
+#[derive(Default)]
+struct Page(String);
+
+impl Page {
+    fn raw(&mut self, html: &str) {
+        self.0.push_str(html);
+        self.0.push('\n');
+    }
+
+    fn badge(&mut self, class: &str, text: &str) {
+        let _ = writeln!(self.0, "<span class=\"badge {class}\">{}</span>", escape(text));
+    }
+
+    /// `value` is HTML.
+    fn card(&mut self, name: &str, value: &str) {
+        let _ = writeln!(self.0, "<div class=\"card\"><span>{}</span><b>{value}</b></div>", escape(name));
+    }
+
+    fn figure(&mut self, caption: &str, svg: &str) {
+        let _ = writeln!(self.0, "<figure><figcaption>{}</figcaption>{svg}</figure>", escape(caption));
+    }
+
+    fn fact(&mut self, name: &str, value: &str) {
+        let _ = writeln!(self.0, "<tr><th>{}</th><td>{}</td></tr>", escape(name), escape(value));
+    }
+}
+
+/// `text` for HTML.
+pub(super) fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_cannot_break_out_of_the_page() {
+        assert_eq!(escape("<script> & \"x\""), "&lt;script&gt; &amp; &quot;x&quot;");
+    }
+
+    #[test]
+    fn scatter_is_the_sample_standard_deviation() {
+        assert_eq!(mean_and_scatter(&[]), None);
+        assert_eq!(mean_and_scatter(&[3.0]), Some((3.0, 0.0)));
+        let (mean, scatter) = mean_and_scatter(&[1.0, 2.0, 3.0]).unwrap();
+        assert!((mean - 2.0).abs() < 1e-12 && (scatter - 1.0).abs() < 1e-12);
+    }
+}
