@@ -30,7 +30,7 @@ pub(super) fn read_axis(section: &mut Section<'_>, kind: Kind, rig: &Rig, free: 
         [_] => read_course(section, kind),
         [] => {
             section.require(if kind == Kind::Sweep { "pressures_psi" } else { "angles_deg" }, "the values to visit");
-            section.accept_rest();
+            ["shape", "move_s", "hold_s", "and_back"].iter().for_each(|key| section.expect(key));
             None
         }
         [first, second, ..] => {

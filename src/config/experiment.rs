@@ -31,6 +31,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::axis::read_axis;
+use super::calibration::quoted;
 use super::problem::{ConfigError, Problem};
 use super::reader::{Section, Source};
 use super::rig::Rig;
@@ -175,7 +176,7 @@ impl Course {
         line(format!("hold_s = {}", self.hold.unwrap_or(hold)));
         for (key, value) in [("shape", &self.shape), ("gains", &self.gains)] {
             if let Some(value) = value {
-                line(format!("{key} = {}", toml::Value::String(value.clone())));
+                line(format!("{key} = {}", quoted(value)));
             }
         }
         text
