@@ -181,7 +181,7 @@ fn values_are_held_to_their_type_and_range() {
     one_problem("address = 0x28", "address = 0x60", "free.paper.imu.address", "40 to 41", "40 to 41");
     one_problem("page_port = 9090", "page_port = 9876", "record.page_port", "differ", "another port");
     let long = format!("path = \"/{}\"", "x".repeat(120));
-    one_problem("path = \"runs/control.sock\"", &long, "socket.path", "at most 107 bytes", "shorter");
+    one_problem("path = \"runs/control.sock\"", &long, "socket.path", "at most 97 bytes", "shorter");
 }
 
 #[test]

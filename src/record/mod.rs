@@ -37,7 +37,7 @@ pub use document::{
 };
 pub use error::{RecordError, Result};
 pub use live::{LiveFeed, LiveOptions, LiveView};
-pub use metrics::{ErrorMetrics, FreeMetrics, Metrics, MoveMetrics};
+pub use metrics::{ErrorMetrics, FreeMetrics, Metrics, MoveMetrics, deviation};
 pub use recorder::{RecordOptions, Recorder};
 pub use report::{html, mean_and_scatter, write_report};
 pub use rerun_sink::APPLICATION_ID;
