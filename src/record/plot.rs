@@ -138,6 +138,9 @@ impl Plot {
     }
 }
 
+/// One bar: from, to, count.
+pub type Bar = (f64, f64, u64);
+
 /// Bars from zero, side by side, with a logarithmic height.
 #[derive(Clone, Debug, Default)]
 pub struct Bars {
@@ -145,8 +148,8 @@ pub struct Bars {
     pub x_label: String,
     /// Height, pixels.
     pub height: u32,
-    /// What each series is called, its colour, and its bars (from, to, count).
-    pub series: Vec<(String, u32, Vec<(f64, f64, u64)>)>,
+    /// What each series is called, its colour, and its bars.
+    pub series: Vec<(String, u32, Vec<Bar>)>,
 }
 
 impl Bars {
