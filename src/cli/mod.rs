@@ -24,7 +24,9 @@
 //! - Exit status: 0 done, 1 failed, 2 bad usage or configuration, 3 a fault of the rig ([`Exit`]).
 
 mod config;
+mod doctor;
 mod failure;
+mod latency;
 mod progress;
 mod simulate;
 
@@ -70,6 +72,10 @@ struct Cli {
 enum Command {
     /// Check rig.toml and everything it refers to
     Config(config::Args),
+    /// Real-time rights, kernel, buses, serial ports, sensors, disk: each with its remedy
+    Doctor(doctor::Args),
+    /// Wake-up latency and jitter of this machine
+    Latency(latency::Args),
     /// Run the lumped model of a FREE, alone or in a loop with its controller
     Simulate(simulate::Args),
 }
@@ -78,6 +84,8 @@ impl Command {
     fn run(self, context: &Context) -> Result<(), Failure> {
         match self {
             Command::Config(args) => config::run(args, context),
+            Command::Doctor(args) => doctor::run(args, context),
+            Command::Latency(args) => latency::run(args, context),
             Command::Simulate(args) => simulate::run(args, context),
         }
     }

@@ -7,6 +7,7 @@ pub mod api;
 mod bench;
 pub mod client;
 mod connection;
+pub mod doctor;
 mod error;
 mod estop;
 pub mod experiment;

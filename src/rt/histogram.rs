@@ -93,6 +93,17 @@ impl Snapshot {
         Snapshot { max: last.min(self.max), sum: self.sum.saturating_sub(earlier.sum), counts }
     }
 
+    /// What was counted here and in `other` together.
+    pub fn and(&self, other: &Snapshot) -> Snapshot {
+        let here = |i: usize, snapshot: &Snapshot| snapshot.counts.get(i).copied().unwrap_or(0);
+        let buckets = self.counts.len().max(other.counts.len());
+        Snapshot {
+            counts: (0..buckets).map(|i| here(i, self) + here(i, other)).collect(),
+            sum: self.sum.saturating_add(other.sum),
+            max: self.max.max(other.max),
+        }
+    }
+
     /// How many durations were counted.
     pub fn count(&self) -> u64 {
         self.counts.iter().sum()
@@ -180,6 +191,9 @@ mod tests {
         assert!((20_000..=20_313).contains(&between.max()), "{}", between.max());
         assert_eq!(between.count_between(0, 30_000), 10);
         assert_eq!(between.count_between(30_000, u64::MAX), 0);
+        let together = between.and(&earlier);
+        assert_eq!((together.count(), together.mean(), together.max()), (11, histogram.snapshot().mean(), 1_000_000));
+        assert_eq!(together.and(&Snapshot::default()), together);
     }
 
     #[test]

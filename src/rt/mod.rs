@@ -19,13 +19,15 @@
 //! # Books
 //!
 //! [`Statistics`] can be read from every thread at any time; the periodic thread writes it without a lock and
-//! without an allocation.
+//! without an allocation. [`measure`] runs the loop for nothing but its books, beside cyclictest.
 
 mod histogram;
 mod periodic;
 mod rights;
 mod schedule;
+mod wakeup;
 
 pub use histogram::{Histogram, Snapshot};
 pub use periodic::{Error, Handle, Realtime, Statistics, Timing, run, spawn};
 pub use rights::{Refusal, Rights, fifo};
+pub use wakeup::{CyclictestError, Pair, Wakeups, cyclictest, measure, median_ratio};
