@@ -5,9 +5,10 @@
 //! reply, the one that arrives after its transaction was given up: taken for the answer to the next command, it
 //! would put every reading one step behind. After a timeout the line is therefore drained until it is quiet; if
 //! the missing reply turns up, the unit is in step again. If it does not, it may still be on its way: then the
-//! unit's next reply is not used, only waited for, and followed by another quiet time. Other units tell their
-//! replies from a late one by its id, the first byte of every command and reply. The quiet times grow with every
-//! failure in a row, so that they outlast any delay below `MAX_QUIET`.
+//! unit's next reply is not used, for it may be the missing one, and its own would follow as much later as its
+//! command was later: so long the line must stay quiet before it is in step. Other units tell their replies from a
+//! late one by its id, the first byte of every command and reply. Replies do not overtake each other; delays up to
+//! `MAX_QUIET` are outlasted.
 
 use std::io;
 use std::pin::{Pin, pin};
@@ -105,8 +106,10 @@ pub struct Line<S> {
     last_byte: Time,
     /// The latest reply, without its CR.
     reply: Vec<u8>,
-    /// Units whose reply may still be on its way, a bit each.
-    missing: u32,
+    /// By unit: how many replies may still be on their way.
+    owed: [u8; 26],
+    /// When the first command that is still unanswered was sent.
+    doubt_since: Time,
     /// Failures since the last reply that was used.
     failures: u32,
     statistics: Arc<LineStatistics>,
@@ -118,7 +121,18 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
         let byte_time = Duration::from_secs(1) * BITS_PER_BYTE / baud.max(1);
         let last_byte = clock.now();
         let (buffer, reply) = (Vec::new(), Vec::new());
-        Self { stream, clock, byte_time, buffer, last_byte, reply, missing: 0, failures: 0, statistics }
+        Self {
+            stream,
+            clock,
+            byte_time,
+            buffer,
+            last_byte,
+            reply,
+            owed: [0; 26],
+            doubt_since: last_byte,
+            failures: 0,
+            statistics,
+        }
     }
 
     /// The clock that the line goes by.
@@ -133,31 +147,39 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
 
     /// Sends `command` (CR is added) and returns the reply without its CR.
     pub async fn transact(&mut self, command: &[u8]) -> Result<&[u8], LineError> {
-        let unit = bit(command);
+        let asked = unit(command);
         let patience = self.byte_time * LONGEST_REPLY + LATENCY;
         self.send(command).await?;
-        let deadline = self.last_byte + patience;
+        let sent = self.last_byte;
+        let deadline = sent + patience;
         loop {
             if self.take_line() {
-                let sender = bit(&self.reply);
-                if sender & self.missing & !unit == 0 {
+                let sender = unit(&self.reply);
+                if sender == asked || sender.is_none_or(|other| self.owed[other] == 0) {
                     break;
                 }
-                self.missing &= !sender;
-                self.statistics.late_frames.increment();
+                self.drop_line();
             } else if self.buffer.len() > BUFFER {
                 self.resynchronise().await?;
                 return Err(LineError::Babble);
             } else if !self.receive(deadline).await? {
                 self.statistics.timeouts.increment();
-                self.missing |= unit;
+                if self.owed.iter().all(|&n| n == 0) {
+                    self.doubt_since = sent;
+                }
+                if let Some(unit) = asked {
+                    self.owed[unit] = self.owed[unit].saturating_add(1);
+                }
                 self.resynchronise().await?;
                 return Err(LineError::TimedOut(patience));
             }
         }
-        if self.missing & unit != 0 {
-            self.drain(self.quiet()).await?;
-            self.missing &= !unit;
+        if let Some(unit) = asked
+            && self.owed[unit] > 0
+        {
+            let behind = sent.since(self.doubt_since) + QUIET;
+            self.drain(behind.min(MAX_QUIET)).await?;
+            self.owed[unit] = 0;
             return Err(LineError::OutOfStep);
         }
         self.failures = 0;
@@ -180,7 +202,9 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
         let mut lines: Vec<Vec<u8>> = self.buffer.split(|&c| c == b'\r').map(<[u8]>::to_vec).collect();
         lines.retain(|line| !line.trim_ascii().is_empty());
         self.buffer.clear();
-        self.missing &= !bit(command);
+        if let Some(unit) = unit(command) {
+            self.owed[unit] = 0;
+        }
         Ok(lines)
     }
 
@@ -213,11 +237,18 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
         true
     }
 
+    /// Counts the line just taken as late.
+    fn drop_line(&mut self) {
+        self.statistics.late_frames.increment();
+        if let Some(unit) = unit(&self.reply) {
+            self.owed[unit] = self.owed[unit].saturating_sub(1);
+        }
+    }
+
     /// Drops the complete lines that have come unasked: they are late replies.
     fn drop_lines(&mut self) {
         while self.take_line() {
-            self.missing &= !bit(&self.reply);
-            self.statistics.late_frames.increment();
+            self.drop_line();
         }
         if self.buffer.len() > BUFFER {
             self.buffer.clear();
@@ -280,7 +311,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
     }
 }
 
-/// The bit of the unit that a command or reply begins with; none for what does not begin with an id.
-fn bit(line: &[u8]) -> u32 {
-    line.first().filter(|c| c.is_ascii_uppercase()).map_or(0, |c| 1 << (c - b'A'))
+/// Index of the unit whose id a command or reply begins with; none for what begins with no id.
+fn unit(line: &[u8]) -> Option<usize> {
+    line.first().filter(|c| c.is_ascii_uppercase()).map(|c| usize::from(c - b'A'))
 }

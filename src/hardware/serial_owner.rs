@@ -238,7 +238,7 @@ where
                     && s.sample.setpoint != 0.0
                     // A unit that does not obey must not keep the others waiting.
                     && s.served != self.turn;
-                (!urgent, matches!(s.link, Link::Lost(_)), s.served)
+                (!urgent, s.served)
             })
             .map(|(i, _)| i)
     }

@@ -261,9 +261,10 @@ impl Branch {
             pressure: 0.0,
             memory: vec![Snapshot::default(); MEMORY],
         };
-        for slot in 0..MEMORY {
-            branch.remember(slot, 0.0);
-        }
+        // It has always been at rest.
+        branch.remember(0, 0.0);
+        let rest = branch.memory[0];
+        branch.memory.fill(rest);
         branch
     }
 

@@ -208,13 +208,13 @@ impl SerialLine {
         (0..length).map(|_| self.rng.random::<u8>()).map(|c| if c == b'\r' { 0 } else { c }).collect()
     }
 
-    /// Sends from `at` on; the computer gets it later by `delay`.
+    /// Sends from `at` on; the computer gets it later by `delay`, and never before what was sent earlier.
     fn send(&mut self, reply: Vec<u8>, at: Time, delay: Duration) {
         let mut until = at;
         for portion in reply.chunks(PORTION) {
             until = until + self.byte_time * portion.len() as u32;
-            let place = self.sending.partition_point(|s| s.0 <= until + delay);
-            self.sending.insert(place, (until + delay, portion.to_vec()));
+            let arrival = self.sending.back().map_or(until + delay, |s| s.0.max(until + delay));
+            self.sending.push_back((arrival, portion.to_vec()));
         }
         self.spoke_until = self.spoke_until.max(until);
     }
