@@ -4,6 +4,9 @@ use std::fmt;
 use std::process::ExitCode;
 
 use crate::config::ConfigError;
+use crate::daemon::DaemonError;
+use crate::daemon::api::ProblemKind;
+use crate::daemon::client::ClientError;
 
 /// Exit status of the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,6 +53,24 @@ impl Failure {
     /// A fault of the rig (status 3).
     pub fn fault(error: impl Into<anyhow::Error>) -> Self {
         Self { exit: Exit::Fault, error: error.into(), remedy: None }
+    }
+
+    /// What the daemon's procedures say: a fault of the rig has status 3, a refusal or a failure 1.
+    pub fn rig(error: DaemonError) -> Self {
+        let exit = if error.is_rig_fault() { Exit::Fault } else { Exit::Failed };
+        let remedy = error.remedy();
+        Self { exit, error: error.into(), remedy: Some(remedy) }
+    }
+
+    /// What the control socket's client says.
+    pub fn client(error: ClientError) -> Self {
+        let exit = match &error {
+            ClientError::Problem(problem) if problem.kind == ProblemKind::Fault => Exit::Fault,
+            ClientError::Problem(problem) if problem.kind == ProblemKind::Usage => Exit::Usage,
+            _ => Exit::Failed,
+        };
+        let remedy = error.remedy().to_owned();
+        Self { exit, error: error.into(), remedy: Some(remedy) }
     }
 
     /// Adds what the user can do about it.

@@ -23,10 +23,15 @@
 //!   `allow_hyphen_values = true`.
 //! - Exit status: 0 done, 1 failed, 2 bad usage or configuration, 3 a fault of the rig ([`Exit`]).
 
+mod attend;
 mod config;
+mod demo;
 mod doctor;
+mod experiment;
 mod failure;
 mod latency;
+mod log;
+mod outcome;
 mod progress;
 mod simulate;
 
@@ -39,6 +44,8 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 pub use failure::{Exit, Failure};
 pub use progress::Progress;
+
+use crate::config::experiment::Kind;
 
 const LONG_ABOUT: &str = "\
 Controller of a soft-robotics bench: drives FREEs (fiber-reinforced elastomeric enclosures) along trajectories from a \
@@ -70,6 +77,14 @@ struct Cli {
 /// Every command, in the order of the help.
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// The whole job on the simulated rig, no daemon needed
+    Demo(demo::Args),
+    /// Steps of the angle; by default the paper's: 50, 20, 80 deg
+    Step(experiment::Args),
+    /// The angle along a course; by default the paper's: 40, 10, 70 deg
+    Trajectory(experiment::Args),
+    /// Quasi-static pressure up and down: twist against pressure with its hysteresis
+    Sweep(experiment::Args),
     /// Check rig.toml and everything it refers to
     Config(config::Args),
     /// Real-time rights, kernel, buses, serial ports, sensors, disk: each with its remedy
@@ -83,6 +98,10 @@ enum Command {
 impl Command {
     fn run(self, context: &Context) -> Result<(), Failure> {
         match self {
+            Command::Demo(args) => demo::run(args, context),
+            Command::Step(args) => experiment::run(Kind::Step, args, context),
+            Command::Trajectory(args) => experiment::run(Kind::Trajectory, args, context),
+            Command::Sweep(args) => experiment::run(Kind::Sweep, args, context),
             Command::Config(args) => config::run(args, context),
             Command::Doctor(args) => doctor::run(args, context),
             Command::Latency(args) => latency::run(args, context),

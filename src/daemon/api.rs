@@ -255,7 +255,7 @@ pub struct RunResult {
     pub folder: String,
     /// Whether the devices were simulated.
     pub simulated: bool,
-    /// `completed`, `stopped` or `fault`.
+    /// `done`, `aborted`, `fault` or `failed`, as in run.toml; `incomplete` where it was cut off.
     pub outcome: String,
     /// Why, where it did not complete.
     pub reason: Option<String>,
@@ -263,7 +263,7 @@ pub struct RunResult {
     pub frees: Vec<FreeResult>,
 }
 
-/// Errors of one FREE over a run (reference minus angle, or minus pressure).
+/// Figures of one FREE over a run; its error is reference minus angle.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FreeResult {
     /// Name in rig.toml.
@@ -274,6 +274,10 @@ pub struct FreeResult {
     pub peak_error_rad: Option<f64>,
     /// At the end, rad.
     pub final_error_rad: Option<f64>,
+    /// RMS of angle minus the model's prediction, rad; `null` where there is none.
+    pub model_rmsd_rad: Option<f64>,
+    /// Greatest difference of the angle between the ways up and down, rad; in a sweep only.
+    pub hysteresis_rad: Option<f64>,
 }
 
 /// Something that happened.
@@ -386,6 +390,9 @@ pub struct Start {
     /// Go on without the client.
     #[serde(default)]
     pub detach: bool,
+    /// Run even where the stability margin of the experiment's own gains is below the stated one.
+    #[serde(default)]
+    pub accept_margin: bool,
 }
 
 /// Says that the client that runs an experiment is still there.

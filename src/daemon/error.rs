@@ -57,12 +57,12 @@ pub enum DaemonError {
     #[error(transparent)]
     Realtime(#[from] crate::rt::Error),
     /// A file or a thread of the system's.
-    #[error("{what}: {source}")]
+    #[error("{what}: {error}")]
     Io {
         /// What was tried.
         what: String,
         /// Why it failed.
-        source: std::io::Error,
+        error: std::io::Error,
     },
 }
 

@@ -12,7 +12,7 @@ use crate::config::experiment::{Experiment, Kind};
 use crate::control::{Gains, Request};
 use crate::record::{
     Backend, RealtimeDocument, RecordOptions, Recorder, Repetition, Run, RunKind, RunResult, StartDocument,
-    StopDocument, sha256,
+    StopDocument, sha256, write_report,
 };
 use crate::signal::{FaultSet, FreeTick, Quantity, State, TickRecord};
 use crate::trajectory::{Axis, Program, Segment, Sequence, Shape};
@@ -150,13 +150,15 @@ fn once<B: Bench>(
     let options = RecordOptions { truth: rig.is_simulated(), ..RecordOptions::default() };
     let recorder = Recorder::create(&rig.record.directory, document(bench, rig, job, repetition), options)?;
     let (id, folder) = (recorder.id().to_owned(), recorder.folder().to_owned());
-    let mut tell = |phase, record: &TickRecord| {
+    let mut tell = |phase, duration, record: &TickRecord| {
         let elapsed = if record.program_time.is_finite() { record.program_time } else { 0.0 };
-        watch(&Progress { phase, run: (&id, &folder), repeat, elapsed, duration: job.program.duration, record });
+        watch(&Progress { phase, run: (&id, &folder), repeat, elapsed, duration, record });
     };
     let lost_before = bench.with_pump(|p| p.lost_records());
     bench.attach(recorder);
-    let result = drive(bench, rig, &job.program, job.attendance, &mut |record| tell("running", record));
+    let result = drive(bench, rig, &job.program, job.attendance, &mut |record| {
+        tell("running", job.program.duration, record);
+    });
     let recorder = bench.detach();
     let lost_records = bench.with_pump(|p| p.lost_records()) - lost_before;
     let (result, message) = match &result {
@@ -171,7 +173,13 @@ fn once<B: Bench>(
     let run = recorder.finish(StopDocument { result, message, lost_records, ..StopDocument::default() })?;
     if result == RunResult::Done && job.and_back {
         let back = Arc::new(back_to_zero(&bench.latest(), rig)?);
-        drive(bench, rig, &back, job.attendance, &mut |record| tell("taking the pressures down", record))?;
+        drive(bench, rig, &back, job.attendance, &mut |record| {
+            tell("taking the pressures down", back.duration, record);
+        })?;
+    }
+    // The run itself is safe on the disk; without a report it still is a run.
+    if let Err(error) = write_report(&run) {
+        tracing::warn!(%error, run = run.id(), "the report could not be made");
     }
     Ok(run)
 }

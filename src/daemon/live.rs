@@ -114,10 +114,12 @@ impl Live {
             let mut wiring = wiring.clone();
             if let Some(sim) = &sim {
                 let link = rig.record.directory.join(format!(".sim-{}-{}", std::process::id(), wiring.name));
-                let pty = sim.pty(index, &link).map_err(|source| DaemonError::Io {
-                    what: format!("the simulated serial line {}", wiring.name),
-                    source,
-                })?;
+                let pty = std::fs::create_dir_all(&rig.record.directory).and_then(|()| sim.pty(index, &link)).map_err(
+                    |error| DaemonError::Io {
+                        what: format!("the simulated serial line {} cannot be put at {}", wiring.name, link.display()),
+                        error,
+                    },
+                )?;
                 wiring.device = pty.path().to_owned();
                 ptys.push(pty);
             }
@@ -289,8 +291,8 @@ fn named(name: &str, body: impl FnOnce() + Send + 'static) -> Result<JoinHandle<
     std::thread::Builder::new().name(format!("freerig-{name}")).spawn(body).map_err(thread_failed)
 }
 
-fn thread_failed(source: std::io::Error) -> DaemonError {
-    DaemonError::Io { what: "a thread could not be started".into(), source }
+fn thread_failed(error: std::io::Error) -> DaemonError {
+    DaemonError::Io { what: "a thread could not be started".into(), error }
 }
 
 impl Bench for LiveBench {

@@ -16,6 +16,7 @@ mod join;
 mod live;
 mod margin;
 pub mod notify;
+mod outcome;
 pub mod procedure;
 mod pump;
 mod server;

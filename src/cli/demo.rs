@@ -1,0 +1,242 @@
+//! `freerig demo`: the whole job on the simulated rig, in this process.
+//!
+//! One trajectory in real time, with the threads, drivers and files of the daemon; then step and trajectory on the
+//! stepped clock, with the gains that the paper's authors published and with freerig's own.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::anyhow;
+use serde::Serialize;
+use tracing::level_filters::LevelFilter;
+
+use super::experiment::stepped;
+use super::outcome::{Outcome, Watch, degrees};
+use super::{Context, Failure, log};
+use crate::config::experiment::{Experiment, Kind};
+use crate::config::{Backend, Rig};
+use crate::control::margin::{GAIN_MARGIN_MIN, margin};
+use crate::daemon::api::RunResult;
+use crate::daemon::experiment::{self, Attendance, Job};
+use crate::daemon::{DaemonError, Live, Switches, procedure};
+use crate::signal::FaultCode;
+
+/// What is run on the stepped clock: the gains that the paper's authors published, then the rig's own.
+const EXPERIMENTS: [(Kind, &str); 2] = [(Kind::Step, "published-step"), (Kind::Trajectory, "published-trajectory")];
+
+/// What `freerig demo` takes.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  freerig demo\n  freerig demo --json")]
+pub struct Args {}
+
+/// What came of it.
+#[derive(Debug, Serialize)]
+struct Demo {
+    simulated: bool,
+    /// The trajectory in real time; `null` where the machine stalled before it began.
+    real_time: Option<RunResult>,
+    /// How the machine kept time.
+    machine: Machine,
+    /// On the stepped clock: published gains, then own.
+    comparisons: Vec<Comparison>,
+    /// The report to look at first.
+    report: String,
+    elapsed_s: f64,
+}
+
+#[derive(Debug, Default, Serialize)]
+struct Machine {
+    realtime_rights: bool,
+    ticks: u64,
+    skipped: u64,
+    wake_up_p99_s: Option<f64>,
+    tick_p99_s: Option<f64>,
+    /// What a stall did to the run.
+    stall: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct Comparison {
+    experiment: &'static str,
+    published: RunResult,
+    own: RunResult,
+    /// Gain margins of the two on this rig; `null` beyond 36 dB.
+    published_gain_margin: Option<f64>,
+    own_gain_margin: Option<f64>,
+    /// RMS error with the published gains over RMS error with the rig's own.
+    rms_ratio: Option<f64>,
+}
+
+/// Runs the demonstration.
+pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
+    let begun = Instant::now();
+    log::start(LevelFilter::ERROR);
+    let mut rig = Rig::load(&context.rig)?;
+    rig.backend = Backend::Sim;
+    context.note("freerig demo: the paper's experiments on a SIMULATED bench\n");
+
+    context.note("1. in real time: trajectory, freerig's gains");
+    let (real_time, machine) = real_time(&rig)?;
+    context.note(machine.text());
+    context.note("2. on the stepped clock: the same drivers and chips, as fast as this machine can");
+    let comparisons =
+        EXPERIMENTS.iter().map(|(kind, gains)| compare(&rig, *kind, gains, context)).collect::<Result<Vec<_>, _>>()?;
+
+    let first = real_time.as_ref().or(comparisons.last().map(|c| &c.own));
+    let report = first.map(|run| format!("{}/report.html", run.folder)).unwrap_or_default();
+    let elapsed_s = begun.elapsed().as_secs_f64();
+    let demo = Demo { simulated: true, real_time, machine, comparisons, report, elapsed_s };
+    if context.json { context.print_json(&demo) } else { context.print(demo.text().trim_end()) }
+}
+
+/// The paper's trajectory with the rig's own gains and the daemon's own threads.
+fn real_time(rig: &Rig) -> Result<(Option<RunResult>, Machine), Failure> {
+    let live = Live::start(rig, Switches::default()).map_err(Failure::rig)?;
+    let run = trajectory(rig, &live);
+    let mut machine = Machine {
+        realtime_rights: live.rights().is_some_and(|r| r.realtime()),
+        ticks: live.statistics().ticks(),
+        skipped: live.statistics().skipped(),
+        wake_up_p99_s: seconds(live.statistics().latency.snapshot().percentile(99.0)),
+        tick_p99_s: seconds(live.statistics().execution.snapshot().percentile(99.0)),
+        stall: None,
+    };
+    let vented = live.stop(rig).map_err(Failure::rig)?;
+    let run = match run {
+        // This is a demonstration on whatever machine there is: that it stalls is worth a word, not a failure.
+        Err(DaemonError::Fault(faults)) if machine.skipped > 0 || faults.contains(FaultCode::Deadline) => {
+            machine.stall = Some(crate::daemon::names(faults));
+            None
+        }
+        Err(error) => return Err(Failure::rig(error)),
+        Ok(run) => {
+            if run.outcome != "done" && machine.skipped == 0 {
+                return Err(Failure::fault(anyhow!("{}: {}", run.id, run.reason.unwrap_or_default())));
+            }
+            machine.stall = run.reason.clone();
+            Some(run)
+        }
+    };
+    if !vented && machine.stall.is_none() {
+        return Err(Failure::fault(anyhow!("the simulated FREE was not seen vented at the end")));
+    }
+    Ok((run, machine))
+}
+
+fn trajectory(rig: &Rig, live: &Live) -> Result<RunResult, DaemonError> {
+    let mut bench = live.bench();
+    procedure::arm(&mut bench, rig, false)?;
+    let job = job(rig, Kind::Trajectory, None).map_err(|e| DaemonError::Unfit(e.to_string()))?;
+    let mut watch = Watch::new(&job.title, job.subject);
+    let runs = experiment::run(&mut bench, rig, &job, &mut |progress| watch.show(progress))?;
+    let run = runs.first().ok_or_else(|| DaemonError::Unfit("nothing was run".into()))?;
+    Ok(RunResult::of(run)?)
+}
+
+fn compare(rig: &Rig, kind: Kind, gains: &str, context: &Context) -> Result<Comparison, Failure> {
+    let with = |gains: Option<&str>| -> Result<RunResult, Failure> {
+        let job = Job { stepped: true, accept_margin: true, ..job(rig, kind, gains)? };
+        let begun = Instant::now();
+        let Outcome { runs, .. } = stepped(rig, &job)?;
+        let seconds = begun.elapsed().as_secs_f64();
+        context.note(format!(
+            "   {:<10} {:<21} {:.1} s of bench time in {seconds:.1} s",
+            kind.name(),
+            gains.unwrap_or("freerig's own"),
+            job.program.duration
+        ));
+        runs.into_iter().next().ok_or_else(|| Failure::failed(anyhow!("nothing was run")))
+    };
+    let (published, own) = (with(Some(gains))?, with(None)?);
+    let rms = |run: &RunResult| run.frees.first().and_then(|free| free.rms_error_rad);
+    let rms_ratio = rms(&published).zip(rms(&own)).map(|(published, own)| published / own);
+    let (published_gain_margin, own_gain_margin) = (gain_margin(rig, Some(gains)), gain_margin(rig, None));
+    Ok(Comparison { experiment: kind.name(), published, own, published_gain_margin, own_gain_margin, rms_ratio })
+}
+
+/// Gain margin of the first FREE's loop with the preset `gains`, or with its own.
+fn gain_margin(rig: &Rig, gains: Option<&str>) -> Option<f64> {
+    let mut free = rig.control.frees.first()?.clone();
+    free.gains = gains.map_or(Some(free.gains), crate::config::gains::preset)?;
+    margin(&free, rig.control.period).map(|m| m.gain_margin).filter(|m| m.is_finite())
+}
+
+/// The paper's experiment for the rig's first FREE, with other `gains` or its own.
+fn job(rig: &Rig, kind: Kind, gains: Option<&str>) -> Result<Job, Failure> {
+    let (name, text) = kind.default_file();
+    let free = rig.control.frees.first().map(|free| free.name.as_str());
+    let mut text = text.to_owned();
+    if let Some(gains) = gains {
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "gains = \"{gains}\"");
+    }
+    let experiment = Experiment::parse(Path::new(name), &text, rig, free)?;
+    Ok(Job { note: "freerig demo".into(), ..Job::new(experiment, Attendance::Here) })
+}
+
+fn seconds(nanoseconds: Option<u64>) -> Option<f64> {
+    nanoseconds.map(|ns| ns as f64 * 1e-9)
+}
+
+impl Machine {
+    fn text(&self) -> String {
+        let microseconds = |t: Option<f64>| t.map_or_else(|| "-".into(), |t| format!("{:.0} us", t * 1e6));
+        let rights = if self.realtime_rights { "with" } else { "without" };
+        let mut text = format!(
+            "   {} ticks {rights} real-time rights, {} skipped; 99 % woke up within {} and ran within {}",
+            self.ticks,
+            self.skipped,
+            microseconds(self.wake_up_p99_s),
+            microseconds(self.tick_p99_s)
+        );
+        if let Some(faults) = &self.stall {
+            // Writing to a String cannot fail.
+            let _ = write!(
+                text,
+                "\n   this machine stalled, and the rig took its pressures down: {faults}\n   a real bench wants a \
+                 quieter machine (`freerig latency`)"
+            );
+        }
+        text
+    }
+}
+
+impl Demo {
+    fn text(&self) -> String {
+        let mut text = String::from("\nSIMULATED: devices and FREE are simulated\n\n");
+        // Writing to a String cannot fail.
+        let mut line = |line: String| {
+            let _ = writeln!(text, "{}", line.trim_end());
+        };
+        line(format!("{:<12} {:<22} {:>10} {:>10} {:>10}  result", "experiment", "gains", "RMS", "peak", "final"));
+        if let Some(run) = &self.real_time {
+            line(row("trajectory", "own, in real time", run));
+        }
+        for comparison in &self.comparisons {
+            line(row(comparison.experiment, &format!("published-{}", comparison.experiment), &comparison.published));
+            line(row("", "own", &comparison.own));
+            if let Some(ratio) = comparison.rms_ratio {
+                line(format!("{:<12} {:<22} {ratio:>10.2}", "", "published / own"));
+            }
+            let margins = [comparison.published_gain_margin, comparison.own_gain_margin]
+                .map(|m| m.map_or_else(|| "-".into(), |m| format!("{m:.1}")));
+            line(format!(
+                "{:<12} gain margin {} published, {} own; arming asks for {GAIN_MARGIN_MIN}",
+                "", margins[0], margins[1]
+            ));
+        }
+        line(format!(
+            "\ndone in {:.0} s. Every run with its report, its samples and its run.rrd is in runs/",
+            self.elapsed_s
+        ));
+        line(format!("report: {}", self.report));
+        text
+    }
+}
+
+fn row(experiment: &str, gains: &str, run: &RunResult) -> String {
+    let free = run.frees.first().cloned().unwrap_or_default();
+    let [rms, peak, last] = [free.rms_error_rad, free.peak_error_rad, free.final_error_rad].map(degrees);
+    format!("{experiment:<12} {gains:<22} {rms:>10} {peak:>10} {last:>10}  {}", run.outcome)
+}
