@@ -229,6 +229,11 @@ impl FaultSet {
     /// No fault.
     pub const NONE: FaultSet = FaultSet(0);
 
+    /// One fault.
+    pub const fn only(code: FaultCode) -> FaultSet {
+        FaultSet(1 << code as u8)
+    }
+
     /// Adds `code`.
     pub fn insert(&mut self, code: FaultCode) {
         self.0 |= 1 << code as u8;

@@ -19,11 +19,16 @@ use crate::config::{Backend, Rig};
 use crate::control::margin::{GAIN_MARGIN_MIN, margin};
 use crate::daemon::api::RunResult;
 use crate::daemon::experiment::{self, Attendance, Job};
-use crate::daemon::{DaemonError, Live, Switches, procedure};
-use crate::signal::FaultCode;
+use crate::daemon::{Bench, DaemonError, Live, Switches, names, procedure};
+use crate::signal::{FaultCode, FaultSet};
 
 /// What is run on the stepped clock: the gains that the paper's authors published, then the rig's own.
 const EXPERIMENTS: [(Kind, &str); 2] = [(Kind::Step, "published-step"), (Kind::Trajectory, "published-trajectory")];
+
+/// Faults of a machine that does not keep time: its threads, or those of the simulated devices, came too late.
+const LATE: [FaultCode; 4] = [FaultCode::Deadline, FaultCode::PressureStale, FaultCode::ImuStale, FaultCode::BusLost];
+/// How often arming is tried on a machine that is busy.
+const ATTEMPTS: u32 = 5;
 
 /// What `freerig demo` takes.
 #[derive(Debug, clap::Args)]
@@ -94,6 +99,7 @@ pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
 fn real_time(rig: &Rig) -> Result<(Option<RunResult>, Machine), Failure> {
     let live = Live::start(rig, Switches::default()).map_err(Failure::rig)?;
     let run = trajectory(rig, &live);
+    let faults = live.bench().latest().latched.union(run.as_ref().err().map_or(FaultSet::default(), faults_of));
     let mut machine = Machine {
         realtime_rights: live.rights().is_some_and(|r| r.realtime()),
         ticks: live.statistics().ticks(),
@@ -102,31 +108,41 @@ fn real_time(rig: &Rig) -> Result<(Option<RunResult>, Machine), Failure> {
         tick_p99_s: seconds(live.statistics().execution.snapshot().percentile(99.0)),
         stall: None,
     };
-    let vented = live.stop(rig).map_err(Failure::rig)?;
-    let run = match run {
-        // This is a demonstration on whatever machine there is: that it stalls is worth a word, not a failure.
-        Err(DaemonError::Fault(faults)) if machine.skipped > 0 || faults.contains(FaultCode::Deadline) => {
-            machine.stall = Some(crate::daemon::names(faults));
-            None
-        }
-        Err(error) => return Err(Failure::rig(error)),
-        Ok(run) => {
-            if run.outcome != "done" && machine.skipped == 0 {
-                return Err(Failure::fault(anyhow!("{}: {}", run.id, run.reason.unwrap_or_default())));
-            }
-            machine.stall = run.reason.clone();
-            Some(run)
-        }
-    };
-    if !vented && machine.stall.is_none() {
+    let vented = live.stop(rig);
+    // This is a demonstration on whatever machine there is: that it stalls is worth a word, not a failure.
+    if LATE.iter().any(|&fault| faults.contains(fault)) {
+        machine.stall = Some(names(faults));
+        return Ok((run.ok(), machine));
+    }
+    let run = run.map_err(Failure::rig)?;
+    if run.outcome != "done" {
+        return Err(Failure::fault(anyhow!("{}: {}", run.id, run.reason.unwrap_or_default())));
+    }
+    if !vented.map_err(Failure::rig)? {
         return Err(Failure::fault(anyhow!("the simulated FREE was not seen vented at the end")));
     }
-    Ok((run, machine))
+    Ok((Some(run), machine))
+}
+
+fn faults_of(error: &DaemonError) -> FaultSet {
+    match error {
+        DaemonError::Fault(faults) => *faults,
+        DaemonError::Refused { refusal, .. } => refusal.fault.map_or(FaultSet::default(), FaultSet::only),
+        // Whatever was waited for did not come in time.
+        DaemonError::Timeout { .. } | DaemonError::LoopEnded(_) => FaultSet::only(FaultCode::Deadline),
+        _ => FaultSet::default(),
+    }
 }
 
 fn trajectory(rig: &Rig, live: &Live) -> Result<RunResult, DaemonError> {
     let mut bench = live.bench();
-    procedure::arm(&mut bench, rig, false)?;
+    let mut attempts = 0;
+    while let Err(error) = procedure::arm(&mut bench, rig, false) {
+        attempts += 1;
+        if attempts == ATTEMPTS || !matches!(error, DaemonError::Refused { .. }) {
+            return Err(error);
+        }
+    }
     let job = job(rig, Kind::Trajectory, None).map_err(|e| DaemonError::Unfit(e.to_string()))?;
     let mut watch = Watch::new(&job.title, job.subject);
     let runs = experiment::run(&mut bench, rig, &job, &mut |progress| watch.show(progress))?;
