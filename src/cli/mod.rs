@@ -24,16 +24,21 @@
 //! - Exit status: 0 done, 1 failed, 2 bad usage or configuration, 3 a fault of the rig ([`Exit`]).
 
 mod attend;
+mod compare;
 mod config;
 mod demo;
 mod doctor;
 mod experiment;
+mod export;
 mod failure;
 mod latency;
 mod log;
 mod outcome;
 mod progress;
+mod report;
+mod runs;
 mod simulate;
+mod table;
 
 use std::fmt::Display;
 use std::io::{self, Write};
@@ -85,14 +90,22 @@ enum Command {
     Trajectory(experiment::Args),
     /// Quasi-static pressure up and down: twist against pressure with its hysteresis
     Sweep(experiment::Args),
-    /// Check rig.toml and everything it refers to
-    Config(config::Args),
-    /// Real-time rights, kernel, buses, serial ports, sensors, disk: each with its remedy
-    Doctor(doctor::Args),
-    /// Wake-up latency and jitter of this machine
-    Latency(latency::Args),
+    /// List what has been run
+    Runs(runs::Args),
+    /// Make a run's report again and print its figures
+    Report(report::Args),
     /// Run the lumped model of a FREE, alone or in a loop with its controller
     Simulate(simulate::Args),
+    /// Compare two runs: RMS deviation, ratio of the tracking errors, overlay plot
+    Compare(compare::Args),
+    /// Write a run's records as CSV or Parquet
+    Export(export::Args),
+    /// Wake-up latency and jitter of this machine
+    Latency(latency::Args),
+    /// Real-time rights, kernel, buses, serial ports, sensors, disk: each with its remedy
+    Doctor(doctor::Args),
+    /// Check rig.toml and everything it refers to
+    Config(config::Args),
 }
 
 impl Command {
@@ -102,10 +115,14 @@ impl Command {
             Command::Step(args) => experiment::run(Kind::Step, args, context),
             Command::Trajectory(args) => experiment::run(Kind::Trajectory, args, context),
             Command::Sweep(args) => experiment::run(Kind::Sweep, args, context),
-            Command::Config(args) => config::run(args, context),
-            Command::Doctor(args) => doctor::run(args, context),
-            Command::Latency(args) => latency::run(args, context),
+            Command::Runs(args) => runs::run(args, context),
+            Command::Report(args) => report::run(args, context),
             Command::Simulate(args) => simulate::run(args, context),
+            Command::Compare(args) => compare::run(args, context),
+            Command::Export(args) => export::run(args, context),
+            Command::Latency(args) => latency::run(args, context),
+            Command::Doctor(args) => doctor::run(args, context),
+            Command::Config(args) => config::run(args, context),
         }
     }
 }

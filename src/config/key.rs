@@ -96,8 +96,8 @@ fn round(value: f64) -> f64 {
     format!("{value:.5e}").parse().unwrap_or(value)
 }
 
-/// Edit distance (insertions, deletions, replacements) between two keys.
-fn distance(a: &str, b: &str) -> usize {
+/// Edit distance (insertions, deletions, replacements) between two words.
+pub(crate) fn distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();
     for (i, ca) in a.chars().enumerate() {

@@ -32,6 +32,7 @@ mod tube;
 
 pub use calibration::Calibration;
 pub use experiment::{Course, Experiment, Kind};
+pub(crate) use key::distance;
 pub use load::SourceFile;
 pub use problem::{ConfigError, Problem};
 pub use rig::{Backend, LoopConfig, RecordConfig, Rig, SocketConfig};

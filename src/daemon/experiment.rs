@@ -272,6 +272,10 @@ fn document<B: Bench>(bench: &mut B, rig: &Rig, job: &Job, repetition: Option<Re
     for (free, calibration) in start.frees.iter_mut().zip(rig.files.iter().skip(1)) {
         free.calibration_sha256 = sha256(calibration.text.as_bytes());
     }
+    for ((free, control), calibration) in start.frees.iter_mut().zip(&rig.control.frees).zip(&rig.calibrations) {
+        let name = calibration.gain_names().find(|name| calibration.gains(name) == Some(control.gains));
+        free.preset = name.unwrap_or_default().to_owned();
+    }
     if let (Some((name, gains)), Some(free)) = (&job.gains, start.frees.get_mut(job.subject)) {
         free.preset = name.clone();
         free.gains = (*gains).into();

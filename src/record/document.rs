@@ -9,6 +9,7 @@ use sha2::{Digest, Sha256};
 
 use crate::control::{ControlConfig, DerivativeOn, FreeControl, Gains, Limits};
 use crate::model::Free;
+use crate::signal::Quantity;
 use crate::trajectory::Program;
 
 /// Version of the format of a run folder.
@@ -171,6 +172,27 @@ impl StartDocument {
     /// Index of the FREE that the run is about, where it is about one.
     pub fn subject_index(&self) -> Option<usize> {
         self.frees.iter().position(|f| f.name == self.subject)
+    }
+
+    /// What a person calls the run.
+    pub fn name(&self) -> &str {
+        if self.title.is_empty() { self.kind.name() } else { &self.title }
+    }
+
+    /// Under which gains the FREE `name` ran: their name, or else their values; `open loop` where its pressure was
+    /// asked, empty where there is no such FREE.
+    pub fn gains_name(&self, name: &str) -> String {
+        let Some(index) = self.frees.iter().position(|f| f.name == name) else { return String::new() };
+        let axis = self.program.as_ref().and_then(|p| p.axes.get(index)?.as_ref());
+        if axis.is_some_and(|a| a.quantity == Quantity::Pressure) {
+            return "open loop".into();
+        }
+        let FreeDocument { preset, gains: g, .. } = &self.frees[index];
+        if !preset.is_empty() {
+            return preset.clone();
+        }
+        let (p, i, d) = (g.proportional_pa_per_rad, g.integral_pa_per_rad_s, g.derivative_pa_s_per_rad);
+        format!("Kp {p}, Ki {i}, Kd {d}")
     }
 }
 
@@ -338,6 +360,19 @@ impl RunResult {
     }
 }
 
+/// Tracking errors of one FREE while the program ran.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ErrorDocument {
+    /// Name of the FREE.
+    pub free: String,
+    /// Root of the mean square, rad.
+    pub rms_rad: f64,
+    /// Greatest magnitude, rad.
+    pub peak_rad: f64,
+    /// Mean over the last 0.1 s, rad.
+    pub final_rad: f64,
+}
+
 /// One entry of the first-errors black box: the condition at the first time a fault was seen.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FaultDocument {
@@ -414,6 +449,9 @@ pub struct StopDocument {
     /// First-errors black box, in the order of appearance.
     #[serde(default)]
     pub faults: Vec<FaultDocument>,
+    /// Tracking errors of the FREEs that were given an angle.
+    #[serde(default)]
+    pub errors: Vec<ErrorDocument>,
 }
 
 /// SHA-256 of `text`, hexadecimal.
@@ -450,7 +488,11 @@ mod tests {
                 repetition: Some(Repetition { group: "g".into(), index: 1, of: 3 }),
                 ..StartDocument::default()
             },
-            stop: Some(StopDocument { faults: vec![FaultDocument::default()], ..StopDocument::default() }),
+            stop: Some(StopDocument {
+                faults: vec![FaultDocument::default()],
+                errors: vec![ErrorDocument::default()],
+                ..StopDocument::default()
+            }),
         };
         let text = toml::to_string(&document).unwrap();
         assert_eq!(toml::from_str::<RunDocument>(&text).unwrap(), document, "{text}");

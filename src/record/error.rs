@@ -50,20 +50,28 @@ pub enum RecordError {
         reason: String,
     },
     /// There is no such run.
-    #[error("no run `{wanted}` in {folder}; `freerig runs` lists them", folder = folder.display())]
+    #[error("no run `{wanted}` in {folder}{}", there(.nearest.as_deref(), .latest, *.count), folder = folder.display())]
     NoSuchRun {
         /// What was asked for.
         wanted: String,
         /// Where it was looked for.
         folder: PathBuf,
+        /// Which one may have been meant.
+        nearest: Option<String>,
+        /// Ids of the latest there.
+        latest: Vec<String>,
+        /// How many are there.
+        count: usize,
     },
     /// Several runs begin so.
-    #[error("`{wanted}` begins the ids of several runs ({candidates}); write more of it")]
+    #[error("`{wanted}` begins the ids of {count} runs, among them {}; write more of it", .latest.join(", "))]
     Ambiguous {
         /// What was asked for.
         wanted: String,
-        /// Ids that begin so.
-        candidates: String,
+        /// The latest ids that begin so.
+        latest: Vec<String>,
+        /// How many begin so.
+        count: usize,
     },
     /// The loop's statistics could not be set up.
     #[error("histogram: {0}")]
@@ -107,6 +115,16 @@ impl RecordError {
     /// Wraps an error of arrow about `path`.
     pub(super) fn samples(path: &Path) -> impl FnOnce(ArrowError) -> Self + '_ {
         |source| RecordError::Samples { path: path.to_owned(), source }
+    }
+}
+
+/// What there is instead of the run that was asked for.
+fn there(nearest: Option<&str>, latest: &[String], count: usize) -> String {
+    let meant = nearest.map_or(String::new(), |id| format!("; did you mean `{id}`?"));
+    match count {
+        0 => "; it holds no runs".into(),
+        1 => format!("{meant} (the only one there is {})", latest.join(", ")),
+        _ => format!("{meant} (it holds {count}, the latest: {})", latest.join(", ")),
     }
 }
 

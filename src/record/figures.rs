@@ -1,6 +1,7 @@
 //! The figures of a report: which signals of a run go into which plot. Degrees and psi, as on the bench.
 
 use super::columns::{column_name, limit_names, state_of};
+use super::document::FaultDocument;
 use super::metrics::ways;
 use super::plot::{Band, Bars, Lane, Lanes, Line, Plot, state_color};
 use super::prediction;
@@ -24,17 +25,25 @@ fn psi(values: &[f64]) -> Vec<f64> {
     values.iter().map(|v| v / PASCAL_PER_PSI).collect()
 }
 
-/// The time that a report shows: the program and a little around it.
+/// The time that a report shows: the program and a little around it; to the end where the run did not end well.
 pub fn shown(signals: &Signals) -> (f64, f64) {
     let (first, last) = (signals.t.first().copied().unwrap_or(0.0), signals.t.last().copied().unwrap_or(1.0));
     let from = signals.t.get(signals.window.start).map_or(first, |t| t - AROUND);
     let to = signals.t.get(signals.window.end.saturating_sub(1)).map_or(last, |t| t + AROUND);
-    (from.max(first), to.min(last).max(from.max(first) + 1e-3))
+    let to = if signals.aftermath { last } else { to.min(last) };
+    (from.max(first), to.max(from.max(first) + 1e-3))
 }
 
 fn over_time(signals: &Signals, y_label: &str, height: u32, lines: Vec<Line>) -> Plot {
     let x_range = Some(shown(signals));
     Plot { x_label: TIME.into(), y_label: y_label.into(), x_range, height, lines, ..Plot::default() }
+}
+
+/// When the run's faults were first seen, on the time base of `signals`: those of its FREE and of the rig.
+pub fn marks(run: &Run, signals: &Signals) -> Vec<(f64, u32, String)> {
+    let Some(stop) = run.stop() else { return Vec::new() };
+    let own = |f: &&FaultDocument| f.free.as_ref().is_none_or(|free| *free == signals.name);
+    stop.faults.iter().filter(own).map(|f| (signals.since_program(f.t_s), palette::RED, f.name.clone())).collect()
 }
 
 /// Response against the reference, the model's prediction and, simulated, the truth.
@@ -83,9 +92,8 @@ pub fn terms(signals: &Signals) -> Plot {
     over_time(signals, "terms [psi]", 260, lines)
 }
 
-/// Twist per length against pressure, both ways, with the model at rest; and the RMS deviation from it as
-/// (rad, share of the angle's range).
-pub fn sweep(signals: &Signals) -> (Plot, Option<(f64, f64)>) {
+/// Twist per length against pressure, both ways, with the model at rest.
+pub fn sweep(signals: &Signals) -> Plot {
     let window = signals.window.clone();
     let (pressure, angle) = (&signals.pressure[window.clone()], &signals.angle[window]);
     let length_mm = signals.free.map_or(f64::NAN, |f| f.length * 1e3);
@@ -97,23 +105,10 @@ pub fn sweep(signals: &Signals) -> (Plot, Option<(f64, f64)>) {
         Line::new("up", palette::BLUE, &psi(&up[0]), twist(&up[1])),
         Line::new("down", palette::GREEN, &psi(&down[0]), twist(&down[1])),
     ];
-    let reached = model_pressure.last().copied().unwrap_or(0.0);
     if !model.is_empty() {
         lines.push(Line::new("model at rest", palette::ORANGE, &psi(&model_pressure), twist(&model)).dashed());
     }
-    let both = [(&up[0], &up[1]), (&down[0], &down[1])];
-    let points = || both.iter().flat_map(|(p, y)| p.iter().zip(y.iter())).filter(|(p, _)| (0.0..=reached).contains(*p));
-    let deviation = super::metrics::rms(points().map(|(&p, &y)| y - interpolate(&model_pressure, &model, p)));
-    let range = super::metrics::range(&points().map(|(_, &y)| y).collect::<Vec<_>>());
-    let rmsd = deviation.zip(range).filter(|(_, r)| *r > 0.0).map(|(d, r)| (d, d / r));
-    let plot = Plot {
-        x_label: "pressure [psi]".into(),
-        y_label: "twist [deg/mm]".into(),
-        height: 420,
-        lines,
-        ..Plot::default()
-    };
-    (plot, rmsd)
+    Plot { x_label: "pressure [psi]".into(), y_label: "twist [deg/mm]".into(), height: 420, lines, ..Plot::default() }
 }
 
 /// Angle of several runs of the same experiment: mean, one standard deviation either way, and each of them.
@@ -224,6 +219,68 @@ pub fn timeline(run: &Run, signals: &Signals) -> Result<Lanes> {
     }
     lanes.push(Lane { name: "rig: faults".into(), spans: spans("rig_faults", &faults) });
     lanes.push(Lane { name: "latched".into(), spans: spans("latched_faults", &faults) });
+    lanes.retain(|lane| !lane.spans.is_empty());
     let whole = (signals.t.first().copied().unwrap_or(0.0), signals.t.last().copied().unwrap_or(1.0));
     Ok(Lanes { x_label: TIME.into(), x_range: (whole.0, whole.1.max(whole.0 + 1e-3)), lanes })
+}
+
+/// Lines of several runs, each with its label.
+type Labelled<'a> = [(String, &'a Signals)];
+
+/// Colours of runs beside each other.
+const RUNS: [u32; 6] = [palette::BLUE, palette::ORANGE, palette::GREEN, palette::PURPLE, palette::RED, palette::YELLOW];
+
+fn overlay(runs: &Labelled<'_>, y_label: &str, height: u32, values: impl Fn(&Signals) -> Vec<f64>) -> Plot {
+    let shown = runs.iter().map(|(_, s)| shown(s)).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+    let line = |(i, (label, s)): (usize, &(String, &Signals))| Line::new(label, RUNS[i % RUNS.len()], &s.t, values(s));
+    let lines = runs.iter().enumerate().map(line).collect();
+    Plot { x_label: TIME.into(), y_label: y_label.into(), x_range: shown, height, lines, ..Plot::default() }
+}
+
+/// Angles of several runs, with the reference of the first (and of others that were asked something else).
+pub fn responses(runs: &Labelled<'_>) -> Plot {
+    let mut plot = overlay(runs, "angle [deg]", 380, |s| degrees(&s.angle));
+    let mut references: Vec<Line> = Vec::new();
+    for (_, s) in runs.iter().filter(|(_, s)| s.quantity == Quantity::Angle) {
+        let asked: Vec<f64> = s.reference[s.window.clone()].to_vec();
+        let line = Line::new("reference", palette::GREY, &s.t[s.window.clone()], degrees(&asked)).width(3);
+        let same = |other: &Line| {
+            let apart = |(t, y): (&f64, &f64)| (interpolate(&other.x, &other.y, *t) - y).abs() > 0.1;
+            // A step is not at the very same record in every run.
+            line.x.iter().zip(&line.y).filter(|&p| apart(p)).count() * 50 < line.x.len()
+        };
+        if !references.iter().any(same) {
+            references.push(line);
+        }
+    }
+    references.append(&mut plot.lines);
+    plot.lines = references;
+    plot
+}
+
+/// Tracking errors of several runs.
+pub fn errors(runs: &Labelled<'_>) -> Plot {
+    overlay(runs, "reference - angle [deg]", 260, |s| degrees(&s.error()))
+}
+
+/// Measured pressures of several runs.
+pub fn pressures(runs: &Labelled<'_>) -> Plot {
+    overlay(runs, "pressure [psi]", 260, |s| psi(&s.pressure))
+}
+
+/// Twist per length against pressure of several runs.
+pub fn sweeps(runs: &Labelled<'_>) -> Plot {
+    let line = |(i, (label, s)): (usize, &(String, &Signals))| {
+        let length_mm = s.free.map_or(f64::NAN, |f| f.length * 1e3);
+        let window = s.window.clone();
+        let twist = s.angle[window.clone()].iter().map(|v| v.to_degrees() / length_mm).collect();
+        Line::new(label, RUNS[i % RUNS.len()], &psi(&s.pressure[window]), twist)
+    };
+    Plot {
+        x_label: "pressure [psi]".into(),
+        y_label: "twist [deg/mm]".into(),
+        height: 420,
+        lines: runs.iter().enumerate().map(line).collect(),
+        ..Plot::default()
+    }
 }

@@ -9,6 +9,7 @@
 //! | settling time | from the move's start until the angle stays within 2 % of the move for the rest of the hold |
 //! | steady error | mean error over the last fifth of the hold |
 //! | RMSD to the model | RMS of angle - model over the range of the reference (of the angle in a sweep), and in rad |
+//! | RMSD to the model at rest | in a sweep: RMS of angle - model at rest at the same pressure, over the range of the angle |
 //! | hysteresis | greatest difference of the angle between the ways up and down at one pressure, over its range |
 //!
 //! The angle is the estimate that the controller acts on; with the simulated rig the same figures of the true
@@ -17,6 +18,7 @@
 use serde::Serialize;
 
 use super::Result;
+use super::document::ErrorDocument;
 use super::prediction;
 use super::run::Run;
 use super::signals::{Signals, interpolate};
@@ -65,6 +67,10 @@ pub struct FreeMetrics {
     pub model_rmsd_percent: Option<f64>,
     /// Why there is no comparison with the model.
     pub model_refusal: Option<String>,
+    /// RMS of angle - model at rest, over pressure, rad; in a sweep only.
+    pub rest_rmsd_rad: Option<f64>,
+    /// The same over the range of the angle, per cent.
+    pub rest_rmsd_percent: Option<f64>,
     /// Greatest difference between the ways up and down, rad; in a sweep only.
     pub hysteresis_rad: Option<f64>,
     /// The same over the range of the angle, per cent.
@@ -147,6 +153,7 @@ impl FreeMetrics {
         };
         let range = range(if angular { reference } else { angle });
         let percent = |value: Option<f64>| Some(100.0 * value? / range.filter(|r| *r > 0.0)?);
+        let rest = if sweep { rest_deviation(signals) } else { None };
         let hysteresis_rad = if sweep { hysteresis(&signals.pressure[window.clone()], angle) } else { None };
         Self {
             free: signals.name.clone(),
@@ -160,6 +167,8 @@ impl FreeMetrics {
             model_rmsd_rad,
             model_rmsd_percent: percent(model_rmsd_rad),
             model_refusal,
+            rest_rmsd_rad: rest.map(|r| r.0),
+            rest_rmsd_percent: rest.map(|r| 100.0 * r.0 / r.1),
             hysteresis_rad,
             hysteresis_percent: percent(hysteresis_rad),
             highest_pressure_pa: signals.pressure.iter().copied().filter(|p| p.is_finite()).reduce(f64::max),
@@ -257,6 +266,20 @@ pub fn hysteresis(pressure: &[f64], angle: &[f64]) -> Option<f64> {
         .reduce(f64::max)
 }
 
+/// RMS of angle - model at rest at the measured pressures, and the range of the angle there, rad: the figure of the
+/// paper's Fig. 7; `None` where the model says nothing.
+fn rest_deviation(signals: &Signals) -> Option<(f64, f64)> {
+    let window = signals.window.clone();
+    let (pressure, angle) = (&signals.pressure[window.clone()], &signals.angle[window]);
+    let highest = pressure.iter().copied().filter(|p| p.is_finite()).fold(0.0, f64::max);
+    let (at, model) = prediction::quasi_static(signals, highest);
+    let reached = *at.last()?;
+    let points = || pressure.iter().zip(angle).filter(|(p, _)| (0.0..=reached).contains(*p));
+    let deviation = rms(points().map(|(&p, &y)| y - interpolate(&at, &model, p)))?;
+    let range = range(&points().map(|(_, &y)| y).collect::<Vec<_>>()).filter(|r| *r > 0.0)?;
+    Some((deviation, range))
+}
+
 /// The ways up and down of a sweep, each as (pressure, angle) sorted by pressure; the highest pressure divides
 /// them.
 pub fn ways(pressure: &[f64], angle: &[f64]) -> ([Vec<f64>; 2], [Vec<f64>; 2]) {
@@ -287,18 +310,17 @@ pub fn range(values: &[f64]) -> Option<f64> {
     Some(numbers().reduce(f64::max)? - numbers().reduce(f64::min)?)
 }
 
-/// RMS of the difference of two histories on the time base of the first, where both are defined, and the range
-/// of the first.
-pub fn deviation(a: (&[f64], &[f64]), b: (&[f64], &[f64])) -> Option<(f64, f64)> {
-    let (first, last) = (b.0.first()?, b.0.last()?);
-    let common: Vec<(f64, f64)> =
-        a.0.iter()
-            .zip(a.1)
-            .filter(|(t, y)| *t >= first && *t <= last && y.is_finite())
-            .map(|(&t, &y)| (y, interpolate(b.0, b.1, t)))
-            .collect();
-    let values: Vec<f64> = common.iter().map(|c| c.0).collect();
-    Some((rms(common.iter().map(|(x, y)| x - y))?, range(&values)?))
+/// Tracking errors of the FREEs of `run` that were given an angle.
+///
+/// # Errors
+/// Where its samples cannot be read.
+pub fn errors(run: &Run) -> Result<Vec<ErrorDocument>> {
+    let errors = Signals::load_all(run)?.into_iter().filter(|s| s.quantity == Quantity::Angle).filter_map(|s| {
+        let window = s.window.clone();
+        let e = ErrorMetrics::of(&s.t[window.clone()], &s.reference[window.clone()], &s.angle[window])?;
+        Some(ErrorDocument { free: s.name, rms_rad: e.rms_rad, peak_rad: e.peak_rad, final_rad: e.final_rad })
+    });
+    Ok(errors.collect())
 }
 
 #[cfg(test)]
@@ -371,15 +393,5 @@ mod tests {
         let width = hysteresis(&[up, down].concat(), &angle).unwrap();
         assert!((width - 0.2).abs() < 1e-3, "{width}");
         assert_eq!(hysteresis(&[], &[]), None);
-    }
-
-    #[test]
-    fn two_histories_are_compared_on_a_common_time_base() {
-        let (a, b) = (times(100), (0..50).map(|i| 0.02 * i as f64).collect::<Vec<_>>());
-        let (ya, yb): (Vec<f64>, Vec<f64>) =
-            (a.iter().map(|t| 2.0 * t).collect(), b.iter().map(|t| 2.0 * t + 0.3).collect());
-        let (deviation, range) = deviation((&a, &ya), (&b, &yb)).unwrap();
-        assert!((deviation - 0.3).abs() < 1e-12);
-        assert!((range - 1.96).abs() < 1e-12);
     }
 }

@@ -12,9 +12,12 @@
 
 mod blueprint;
 mod columns;
+mod comparison;
 mod document;
 mod error;
+mod export;
 mod figures;
+mod html;
 mod live;
 mod metrics;
 mod page;
@@ -31,13 +34,15 @@ mod shape;
 mod signals;
 
 pub use columns::column_name;
+pub use comparison::{Comparison, Deviation, Row};
 pub use document::{
-    Backend, FORMAT, FaultDocument, FreeDocument, GainsDocument, LimitsDocument, LoopDocument, ModelDocument,
-    RealtimeDocument, Repetition, RunDocument, RunKind, RunResult, StartDocument, StopDocument, sha256,
+    Backend, ErrorDocument, FORMAT, FaultDocument, FreeDocument, GainsDocument, LimitsDocument, LoopDocument,
+    ModelDocument, RealtimeDocument, Repetition, RunDocument, RunKind, RunResult, StartDocument, StopDocument, sha256,
 };
 pub use error::{RecordError, Result};
+pub use export::{Exported, Format, TIME_BASE, export};
 pub use live::{LiveFeed, LiveOptions, LiveView};
-pub use metrics::{ErrorMetrics, FreeMetrics, Metrics, MoveMetrics, deviation};
+pub use metrics::{ErrorMetrics, FreeMetrics, Metrics, MoveMetrics};
 pub use recorder::{RecordOptions, Recorder};
 pub use report::{html, mean_and_scatter, write_report};
 pub use rerun_sink::APPLICATION_ID;

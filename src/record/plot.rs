@@ -14,7 +14,7 @@ use super::{RecordError, Result, palette};
 const WIDTH: u32 = 960;
 /// Space left of the axis, the same in all plots so that their times line up.
 const LEFT: u32 = 64;
-const LEGEND: u32 = 30;
+const LEGEND_ROW: u32 = 22;
 const FONT: &str = "system-ui, sans-serif";
 
 /// A line of a plot.
@@ -81,6 +81,8 @@ pub struct Plot {
     pub bands: Vec<Band>,
     /// Drawn in this order.
     pub lines: Vec<Line>,
+    /// Moments to be noticed: where, colour, text.
+    pub marks: Vec<(f64, u32, String)>,
 }
 
 impl Plot {
@@ -103,18 +105,22 @@ impl Plot {
         values.extend(self.bands.iter().flat_map(|b| b.low.iter().chain(&b.high)));
         let y = span(values.iter(), 0.06);
         let mut svg = String::new();
+        let names = self.bands.iter().map(|b| &b.label).chain(lines.iter().map(|l| &l.label));
+        let legend_height = LEGEND_ROW * (legend_rows(names).max(1) as u32) + 8;
+        // The legend's further rows are not taken from the drawing.
+        let height = self.height + legend_height - LEGEND_ROW - 8;
         {
-            let area = SVGBackend::with_string(&mut svg, (WIDTH, self.height)).into_drawing_area();
+            let area = SVGBackend::with_string(&mut svg, (WIDTH, height)).into_drawing_area();
             let bands = self.bands.iter().map(|b| (b.label.as_str(), b.rgb, Mark::Band));
             let mark = |l: &Line| if l.dashed { Mark::Dashes } else { Mark::Line(l.width) };
             let entries = bands.chain(lines.iter().map(|l| (l.label.as_str(), l.rgb, mark(l))));
             legend(&area, entries)?;
             let mut chart = ChartBuilder::on(&area)
-                .margin_top(LEGEND)
+                .margin_top(legend_height)
                 .margin_right(16)
                 .x_label_area_size(38)
                 .y_label_area_size(LEFT)
-                .build_cartesian_2d(Axis::new(x.clone()), Axis::new(y))
+                .build_cartesian_2d(Axis::new(x.clone()), Axis::new(y.clone()))
                 .map_err(plot_error)?;
             mesh(&mut chart, &self.x_label, &self.y_label)?;
             for band in &self.bands {
@@ -131,6 +137,17 @@ impl Plot {
                         chart.draw_series(LineSeries::new(piece, style)).map_err(plot_error)?;
                     }
                 }
+            }
+            for (at, rgb, text) in self.marks.iter().filter(|m| x.contains(&m.0)) {
+                let line = [(*at, y.start), (*at, y.end)];
+                chart
+                    .draw_series(DashedLineSeries::new(line, 3, 3, color(*rgb).stroke_width(1)))
+                    .map_err(plot_error)?;
+                // On the side where there is room.
+                let (side, gap) = if *at > f64::midpoint(x.start, x.end) { (HPos::Right, -5) } else { (HPos::Left, 5) };
+                let (left, top) = chart.backend_coord(&line[1]);
+                let style = (FONT, 12).into_font().color(&color(*rgb)).pos(Pos::new(side, VPos::Top));
+                area.draw(&Text::new(text.clone(), (left + gap, top + 3), style)).map_err(plot_error)?;
             }
             area.present().map_err(plot_error)?;
         }
@@ -167,7 +184,7 @@ impl Bars {
             let area = SVGBackend::with_string(&mut svg, (WIDTH, self.height)).into_drawing_area();
             legend(&area, self.series.iter().map(|s| (s.0.as_str(), s.1, Mark::Band)))?;
             let mut chart = ChartBuilder::on(&area)
-                .margin_top(LEGEND)
+                .margin_top(LEGEND_ROW + 8)
                 .margin_right(16)
                 .x_label_area_size(38)
                 .y_label_area_size(LEFT)
@@ -315,8 +332,11 @@ fn legend<'a>(
     entries: impl Iterator<Item = (&'a str, u32, Mark)>,
 ) -> Result<()> {
     let style = (FONT, 13).into_font().color(&TEXT).pos(Pos::new(HPos::Left, VPos::Center));
-    let (mut x, y) = (LEFT as i32, 14);
+    let (mut x, mut y) = (LEFT as i32, 14);
     for (label, rgb, mark) in entries.filter(|e| !e.0.is_empty()) {
+        if x > LEFT as i32 && x + legend_width(label) > WIDTH as i32 {
+            (x, y) = (LEFT as i32, y + LEGEND_ROW as i32);
+        }
         let line = |from: i32, to: i32, width: u32| {
             PathElement::new([(x + from, y), (x + to, y)], color(rgb).stroke_width(width))
         };
@@ -333,9 +353,26 @@ fn legend<'a>(
             }
         }
         area.draw(&Text::new(label.to_owned(), (x + 28, y), style.clone())).map_err(plot_error)?;
-        x += 28 + 7 * label.chars().count() as i32 + 24;
+        x += legend_width(label);
     }
     Ok(())
+}
+
+/// Pixels that an entry of the legend takes, the distance to the next included; about 7 a letter.
+fn legend_width(label: &str) -> i32 {
+    28 + 7 * label.chars().count() as i32 + 20
+}
+
+/// Rows that the legend takes.
+fn legend_rows<'a>(labels: impl Iterator<Item = &'a String>) -> usize {
+    let (mut rows, mut x) = (1, LEFT as i32);
+    for label in labels.filter(|l| !l.is_empty()) {
+        if x > LEFT as i32 && x + legend_width(label) > WIDTH as i32 {
+            (rows, x) = (rows + 1, LEFT as i32);
+        }
+        x += legend_width(label);
+    }
+    rows
 }
 
 type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Axis, Axis>>;

@@ -14,11 +14,13 @@ use hdrhistogram::Histogram;
 use super::columns::{BatchBuilder, limit_names};
 use super::document::{FaultDocument, LoopDocument, StartDocument, StopDocument};
 use super::live::LiveFeed;
+use super::metrics;
 use super::rerun_sink::RerunFile;
 use super::run::{Run, now};
 use super::samples::SampleWriter;
 use super::{RecordError, Result};
 use crate::clock::Time;
+use crate::control::fault::row;
 use crate::signal::{FaultCode, FaultSet, TickRecord, Truth};
 
 /// How to record.
@@ -145,7 +147,10 @@ impl Recorder {
             self.rerun_error = error.to_string();
         }
         let mut run = self.run;
-        run.document.stop = Some(StopDocument { rerun_error: self.rerun_error, ..self.watch.complete(stop) });
+        // The errors are a convenience (`freerig runs`); the samples have them.
+        let errors = metrics::errors(&run).unwrap_or_default();
+        let stop = StopDocument { rerun_error: self.rerun_error, errors, ..self.watch.complete(stop) };
+        run.document.stop = Some(stop);
         run.write_document()?;
         Ok(run)
     }
@@ -253,6 +258,7 @@ fn fault(code: FaultCode, free: Option<&String>, record: &TickRecord, t: f64) ->
         free: free.cloned(),
         tick: record.tick,
         t_s: t,
-        ..FaultDocument::default()
+        latched: false,
+        message: format!("{}. {}", row(code).condition, row(code).remedy),
     }
 }

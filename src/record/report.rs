@@ -1,17 +1,16 @@
 //! `report.html`: one page, self-contained (plots inline, no script), to be read, printed and mailed.
 
-use std::fmt::Write;
 use std::path::PathBuf;
 
 use super::document::{RunKind, StartDocument, StopDocument};
+use super::html::{Page, degrees, escape};
 use super::metrics::{ErrorMetrics, FreeMetrics, Metrics};
+use super::plot::Plot;
 use super::run::{REPORT_NAME, Run, write_atomically};
 use super::signals::Signals;
 use super::{Result, figures, prediction};
 use crate::signal::Quantity;
 use crate::units::PASCAL_PER_PSI;
-
-const STYLE: &str = include_str!("report.css");
 
 /// Makes the report of `run` in its folder; returns where it is.
 ///
@@ -34,10 +33,7 @@ pub fn html(run: &Run) -> Result<String> {
     let metrics = Metrics::from(run, &signals, &predictions)?;
 
     let title = heading(start);
-    let mut page = Page::default();
-    page.raw("<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">");
-    page.raw("<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">");
-    page.raw(&format!("<title>{} - freerig</title><style>{STYLE}</style></head><body>", escape(&title)));
+    let mut page = Page::new(&title);
     page.raw("<header>");
     page.raw(&format!("<h1>{}</h1><p class=\"badges\">", escape(&title)));
     if start.simulated() {
@@ -45,26 +41,31 @@ pub fn html(run: &Run) -> Result<String> {
     }
     page.badge(run.result_name(), run.result_name());
     if !run.is_complete() {
-        page.raw("</p><p class=\"warning\">This run has no stop document: it was cut off. What is shown was recorded up to then.");
+        page.raw("</p><p class=\"warning\">This run has no stop document: it is under way or was cut off. What is shown was recorded up to then.");
     }
     page.raw("</p>");
+    if let Some(stop) = run.stop().filter(|s| !s.message.is_empty()) {
+        page.raw(&format!("<p class=\"warning\">{}</p>", escape(&ending(stop, &signals))));
+    }
     if !start.note.is_empty() {
         page.raw(&format!("<p class=\"note\">{}</p>", escape(&start.note)));
     }
     page.raw("</header><main>");
 
     for ((signals, prediction), metrics) in signals.iter().zip(&predictions).zip(&metrics.frees) {
-        free_section(&mut page, start, signals, prediction, metrics)?;
+        free_section(&mut page, run, signals, prediction, metrics)?;
     }
     repeats(&mut page, run)?;
     page.raw("<section><h2>States, faults, limits</h2>");
     if let Some(first) = signals.first() {
         page.raw(&figures::timeline(run, first)?.svg()?);
     }
-    faults(&mut page, run.stop());
+    faults(&mut page, run.stop(), &signals);
     page.raw("</section><section><h2>Loop</h2>");
     loop_table(&mut page, run, &metrics);
-    page.raw(&figures::latency(run)?.svg()?);
+    if !start.stepped {
+        page.figure("Ticks by their timing", &figures::latency(run)?.svg()?);
+    }
     page.raw("</section><section><h2>What ran</h2>");
     provenance(&mut page, run);
     page.raw("</section></main><footer>");
@@ -75,51 +76,55 @@ pub fn html(run: &Run) -> Result<String> {
         if start.kind == RunKind::Sweep { "angle" } else { "reference" },
         escape(&start.freerig_version)
     ));
-    page.raw("</footer></body></html>\n");
-    Ok(page.0)
+    page.raw("</footer>");
+    Ok(page.end())
 }
 
 fn heading(start: &StartDocument) -> String {
-    let what = if start.title.is_empty() { start.kind.name() } else { &start.title };
+    let what = start.name();
     if start.subject.is_empty() { what.into() } else { format!("{what} - {}", start.subject) }
+}
+
+/// Why the run ended, and when the fault was seen that ended it.
+fn ending(stop: &StopDocument, signals: &[Signals]) -> String {
+    let seen = stop.faults.iter().find(|f| f.latched).map(|f| {
+        let at = signals.first().map_or(f.t_s, |s| s.since_program(f.t_s));
+        format!(" First seen: {} of {} at {at:.3} s.", f.name, f.free.as_deref().unwrap_or("the rig"))
+    });
+    format!("{}{}", stop.message, seen.unwrap_or_default())
 }
 
 fn free_section(
     page: &mut Page,
-    start: &StartDocument,
+    run: &Run,
     signals: &Signals,
     prediction: &std::result::Result<Vec<f64>, String>,
     metrics: &FreeMetrics,
 ) -> Result<()> {
-    let simulated = start.simulated();
+    let simulated = run.start().simulated();
     page.raw(&format!("<section><h2>{}</h2>", escape(&signals.name)));
     let model = prediction.as_ref().ok().map(Vec::as_slice);
-    let mut swept = None;
-    if signals.quantity == Quantity::Pressure {
-        let (plot, rmsd) = figures::sweep(signals);
-        swept = Some((plot.svg()?, rmsd));
-    }
-    figures_table(page, metrics, simulated, swept.as_ref().and_then(|s| s.1));
+    figures_table(page, metrics, simulated);
     if let Some(reason) = &metrics.model_refusal {
         page.raw(&format!("<p class=\"warning\">No comparison with the model: {}</p>", escape(reason)));
     }
-    if let Some((svg, _)) = &swept {
-        page.figure("Twist against pressure", svg);
+    if signals.quantity == Quantity::Pressure {
+        page.figure("Twist against pressure", &figures::sweep(signals).svg()?);
     }
-    page.figure("Response", &figures::response(signals, model).svg()?);
-    page.figure("Error", &figures::error(signals, model).svg()?);
-    page.figure("Pressure", &figures::pressure(signals).svg()?);
+    let marked = |plot: Plot| Plot { marks: figures::marks(run, signals), ..plot }.svg();
+    page.figure("Response", &marked(figures::response(signals, model))?);
+    page.figure("Error", &marked(figures::error(signals, model))?);
+    page.figure("Pressure", &marked(figures::pressure(signals))?);
     if signals.quantity == Quantity::Angle {
-        page.figure("Controller's terms", &figures::terms(signals).svg()?);
+        page.figure("Controller's terms", &marked(figures::terms(signals))?);
         moves_table(page, metrics);
     }
     page.raw("</section>");
     Ok(())
 }
 
-fn figures_table(page: &mut Page, metrics: &FreeMetrics, simulated: bool, swept: Option<(f64, f64)>) {
+fn figures_table(page: &mut Page, metrics: &FreeMetrics, simulated: bool) {
     page.raw("<div class=\"cards\">");
-    let degrees = |rad: f64| format!("{:.3}&deg;", rad.to_degrees());
     if let Some(ErrorMetrics { rms_rad, peak_rad, final_rad }) = metrics.error {
         page.card("RMS error", &degrees(rms_rad));
         page.card("peak error", &degrees(peak_rad));
@@ -128,8 +133,8 @@ fn figures_table(page: &mut Page, metrics: &FreeMetrics, simulated: bool, swept:
     if let (Some(rad), Some(percent)) = (metrics.model_rmsd_rad, metrics.model_rmsd_percent) {
         page.card("RMSD to the model", &format!("{percent:.2} % <small>{}</small>", degrees(rad)));
     }
-    if let Some((rad, share)) = swept {
-        page.card("RMSD to the model at rest", &format!("{:.2} % <small>{}</small>", 100.0 * share, degrees(rad)));
+    if let (Some(rad), Some(percent)) = (metrics.rest_rmsd_rad, metrics.rest_rmsd_percent) {
+        page.card("RMSD to the model at rest", &format!("{percent:.2} % <small>{}</small>", degrees(rad)));
     }
     if let (Some(rad), Some(percent)) = (metrics.hysteresis_rad, metrics.hysteresis_percent) {
         page.card("hysteresis", &format!("{percent:.2} % <small>{}</small>", degrees(rad)));
@@ -153,14 +158,14 @@ fn moves_table(page: &mut Page, metrics: &FreeMetrics) {
     for m in &metrics.moves {
         let settling = m.settling_s.map_or("does not settle".into(), |s| format!("{s:.3} s"));
         page.raw(&format!(
-            "<tr><td>{:.2} s</td><td>{:.1}&deg;</td><td>{:.1}&deg;</td><td>{:.2} % <small>{:.3}&deg;</small></td>\
-             <td>{settling}</td><td>{:.3}&deg;</td></tr>",
+            "<tr><td>{:.2} s</td><td>{:.1}&deg;</td><td>{:.1}&deg;</td><td>{:.2} % <small>{}</small></td>\
+             <td>{settling}</td><td>{}</td></tr>",
             m.start_s,
             m.from_rad.to_degrees(),
             m.to_rad.to_degrees(),
             m.overshoot_percent,
-            m.overshoot_rad.to_degrees(),
-            m.steady_error_rad.to_degrees(),
+            degrees(m.overshoot_rad),
+            degrees(m.steady_error_rad),
         ));
     }
     page.raw("</tbody></table>");
@@ -219,21 +224,22 @@ pub fn mean_and_scatter(values: &[f64]) -> Option<(f64, f64)> {
     (!values.is_empty()).then(|| (mean, (sum / (n - 1.0).max(1.0)).sqrt()))
 }
 
-fn faults(page: &mut Page, stop: Option<&StopDocument>) {
+fn faults(page: &mut Page, stop: Option<&StopDocument>, signals: &[Signals]) {
     let Some(stop) = stop else { return };
-    if !stop.message.is_empty() {
-        page.raw(&format!("<p class=\"warning\">{}</p>", escape(&stop.message)));
+    if !stop.limits_seen.is_empty() {
+        page.raw(&format!("<p>Limits in force at some time: {}.</p>", escape(&stop.limits_seen.join(", "))));
     }
     if stop.faults.is_empty() {
         page.raw("<p>No fault was seen.</p>");
         return;
     }
-    page.raw("<table><caption>First time that each fault was seen</caption><thead><tr><th>at</th><th>fault</th>");
-    page.raw("<th>FREE</th><th>latched</th><th class=\"text\">what</th></tr></thead><tbody>");
+    page.raw("<table><caption>First time that each fault was seen</caption><thead><tr><th>at</th><th class=\"text\">fault</th>");
+    page.raw("<th class=\"text\">FREE</th><th class=\"text\">latched</th><th class=\"text\">condition and remedy</th></tr></thead><tbody>");
     for f in &stop.faults {
         page.raw(&format!(
-            "<tr><td>{:.3} s</td><td>{} <small>{}</small></td><td>{}</td><td>{}</td><td class=\"text\">{}</td></tr>",
-            f.t_s,
+            "<tr><td>{:.3} s</td><td class=\"text\">{} <small>{}</small></td><td class=\"text\">{}</td>\
+             <td class=\"text\">{}</td><td class=\"text\">{}</td></tr>",
+            signals.first().map_or(f.t_s, |s| s.since_program(f.t_s)),
             escape(&f.name),
             f.code,
             escape(f.free.as_deref().unwrap_or("rig")),
@@ -249,14 +255,16 @@ fn loop_table(page: &mut Page, run: &Run, metrics: &Metrics) {
     page.card("records", &metrics.records.to_string());
     page.card("deadline misses", &metrics.deadline_misses.to_string());
     if let Some(stop) = run.stop() {
-        let l = &stop.loop_statistics;
         page.card("records lost", &stop.lost_records.to_string());
+    }
+    if let Some(stop) = run.stop().filter(|_| !run.start().stepped) {
+        let l = &stop.loop_statistics;
         page.card("wake-up p50, p99, max", &micros([l.latency_p50_us, l.latency_p99_us, l.latency_max_us]));
         page.card("execution p50, p99, max", &micros([l.execution_p50_us, l.execution_p99_us, l.execution_max_us]));
     }
     page.raw("</div>");
     if run.start().stepped {
-        page.raw("<p>On the stepped clock: these times are simulated, not this machine's.</p>");
+        page.raw("<p>On the stepped clock every tick comes at its very time: there is no timing to report.</p>");
     }
 }
 
@@ -281,8 +289,12 @@ fn provenance(page: &mut Page, run: &Run) {
     let seed = start.seed.map_or(String::new(), |s| format!(", seed {s}"));
     page.fact("rig", &format!("{backend}{clock}{seed}"));
     page.fact("tick", &format!("{:.3} ms ({:.0} Hz)", start.tick_period_s * 1e3, 1.0 / start.tick_period_s));
-    let granted = if start.realtime.granted { "granted" } else { "not granted" };
-    page.fact("real-time rights", format!("{granted} {}", start.realtime.detail).trim());
+    let rights = match (start.stepped, start.realtime.granted, start.realtime.detail.as_str()) {
+        (true, ..) => "none needed on the stepped clock".into(),
+        (_, true, detail) => format!("granted {detail}"),
+        (_, false, detail) => format!("not granted {detail}"),
+    };
+    page.fact("real-time rights", rights.trim());
     for free in &start.frees {
         let g = &free.gains;
         let preset = if free.preset.is_empty() { String::new() } else { format!(" ({})", free.preset) };
@@ -317,47 +329,9 @@ fn provenance(page: &mut Page, run: &Run) {
     page.raw("</tbody></table>");
 }
 
-/// The page as it is written.
-#[derive(Default)]
-struct Page(String);
-
-impl Page {
-    fn raw(&mut self, html: &str) {
-        self.0.push_str(html);
-        self.0.push('\n');
-    }
-
-    fn badge(&mut self, class: &str, text: &str) {
-        let _ = writeln!(self.0, "<span class=\"badge {class}\">{}</span>", escape(text));
-    }
-
-    /// `value` is HTML.
-    fn card(&mut self, name: &str, value: &str) {
-        let _ = writeln!(self.0, "<div class=\"card\"><span>{}</span><b>{value}</b></div>", escape(name));
-    }
-
-    fn figure(&mut self, caption: &str, svg: &str) {
-        let _ = writeln!(self.0, "<figure><figcaption>{}</figcaption>{svg}</figure>", escape(caption));
-    }
-
-    fn fact(&mut self, name: &str, value: &str) {
-        let _ = writeln!(self.0, "<tr><th>{}</th><td>{}</td></tr>", escape(name), escape(value));
-    }
-}
-
-/// `text` for HTML.
-pub(super) fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn text_cannot_break_out_of_the_page() {
-        assert_eq!(escape("<script> & \"x\""), "&lt;script&gt; &amp; &quot;x&quot;");
-    }
 
     #[test]
     fn scatter_is_the_sample_standard_deviation() {

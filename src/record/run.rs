@@ -6,9 +6,11 @@ use std::path::{Path, PathBuf};
 
 use jiff::Zoned;
 
-use super::document::{FORMAT, RunDocument, StartDocument, StopDocument};
+use super::document::{ErrorDocument, FORMAT, RunDocument, StartDocument, StopDocument};
+use super::metrics;
 use super::samples::{Records, Table};
 use super::{RecordError, Result};
+use crate::config::distance;
 
 /// Name of the start and stop document.
 pub const DOCUMENT_NAME: &str = "run.toml";
@@ -16,6 +18,11 @@ pub const DOCUMENT_NAME: &str = "run.toml";
 pub const RRD_NAME: &str = "run.rrd";
 /// Name of the report.
 pub const REPORT_NAME: &str = "report.html";
+
+/// What stands for the latest run.
+const LATEST: &str = "latest";
+/// How many ids an error names.
+const NAMED: usize = 5;
 
 /// A recorded run: its folder and its documents.
 #[derive(Clone, Debug, PartialEq)]
@@ -102,27 +109,36 @@ impl Run {
         Ok(Run { folder: folder.to_owned(), document })
     }
 
-    /// Finds the run `wanted`: a path, an id in `runs`, the beginning of an id, or `last`.
+    /// Finds the run `wanted`: a path, an id in `runs`, the beginning of an id, or `latest`.
     ///
     /// # Errors
-    /// Where there is none, or where several ids begin so.
+    /// Where there is none (the nearest and the latest are named), or where several ids begin so.
     pub fn find(runs: &Path, wanted: &str) -> Result<Self> {
         let path = Path::new(wanted);
         if path.join(DOCUMENT_NAME).is_file() {
             return Self::open(path);
         }
-        let none = || RecordError::NoSuchRun { wanted: wanted.into(), folder: runs.into() };
-        let mut ids = ids(runs)?;
-        if wanted == "last" {
-            return Self::open(&runs.join(ids.pop().ok_or_else(none)?));
+        let ids = ids(runs)?;
+        let none = || RecordError::NoSuchRun {
+            wanted: wanted.into(),
+            folder: runs.into(),
+            nearest: nearest(wanted, &ids).cloned(),
+            latest: ids.iter().rev().take(NAMED).cloned().collect(),
+            count: ids.len(),
+        };
+        if wanted == LATEST {
+            return Self::open(&runs.join(ids.last().ok_or_else(none)?));
         }
-        ids.retain(|id| id.starts_with(wanted));
-        match ids.as_slice() {
+        let begin: Vec<&String> = ids.iter().filter(|id| id.starts_with(wanted)).collect();
+        match begin.as_slice() {
             _ if wanted.is_empty() => Err(none()),
             [] => Err(none()),
             [id] => Self::open(&runs.join(id)),
-            _ if ids.iter().any(|id| id == wanted) => Self::open(&runs.join(wanted)),
-            _ => Err(RecordError::Ambiguous { wanted: wanted.into(), candidates: ids.join(", ") }),
+            _ if begin.iter().any(|id| *id == wanted) => Self::open(&runs.join(wanted)),
+            _ => {
+                let (count, latest) = (begin.len(), begin.iter().rev().take(NAMED).map(|id| (*id).clone()).collect());
+                Err(RecordError::Ambiguous { wanted: wanted.into(), latest, count })
+            }
         }
     }
 
@@ -180,6 +196,15 @@ impl Run {
         Table::read(&self.folder, names)
     }
 
+    /// Tracking errors of the FREEs that were given an angle: from the stop document, of an incomplete run from what
+    /// was recorded; none where that cannot be read.
+    pub fn errors(&self) -> Vec<ErrorDocument> {
+        match self.stop() {
+            Some(stop) => stop.errors.clone(),
+            None => metrics::errors(self).unwrap_or_default(),
+        }
+    }
+
     /// Writes `run.toml` so that either the old or the new one is there, whole.
     pub(super) fn write_document(&self) -> Result<()> {
         let path = self.folder.join(DOCUMENT_NAME);
@@ -203,7 +228,8 @@ pub(super) fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
     fs::File::open(folder).and_then(|f| f.sync_all()).map_err(RecordError::io(folder))
 }
 
-fn permissions() -> fs::Permissions {
+/// Readable by whoever may read the folder.
+pub(super) fn permissions() -> fs::Permissions {
     use std::os::unix::fs::PermissionsExt;
     fs::Permissions::from_mode(0o644)
 }
@@ -226,6 +252,18 @@ fn new_id(now: &Zoned, start: &StartDocument) -> String {
     format!("{time}-{}-{subject}", start.kind.name())
 }
 
+/// The id that `wanted` was most likely meant to be or to begin; `None` where nothing is near.
+fn nearest<'a>(wanted: &str, ids: &'a [String]) -> Option<&'a String> {
+    let length = wanted.chars().count();
+    let edits = |id: &String| {
+        let beginning: String = id.chars().take(length).collect();
+        distance(wanted, id).min(distance(wanted, &beginning))
+    };
+    // Of equally near ones the latest.
+    let (edits, id) = ids.iter().map(|id| (edits(id), id)).min_by(|a, b| a.0.cmp(&b.0).then(b.1.cmp(a.1)))?;
+    (edits <= 1 + length / 3).then_some(id)
+}
+
 /// Ids of the runs in `runs`, sorted.
 fn ids(runs: &Path) -> Result<Vec<String>> {
     let entries = match fs::read_dir(runs) {
@@ -246,7 +284,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn runs_are_found_by_id_beginning_path_and_last() {
+    fn runs_are_found_by_id_beginning_path_and_latest() {
         let runs = tempfile::tempdir().unwrap();
         let start = |subject: &str| StartDocument { subject: subject.into(), ..StartDocument::default() };
         let a = Run::create(runs.path(), start("a/../b")).unwrap();
@@ -259,7 +297,13 @@ mod tests {
         assert!(matches!(Run::find(runs.path(), ""), Err(RecordError::NoSuchRun { .. })));
         assert!(matches!(Run::find(runs.path(), "1999"), Err(RecordError::NoSuchRun { .. })));
         assert_eq!(Run::list(runs.path()).unwrap().len(), 2);
-        assert!(Run::find(runs.path(), "last").is_ok());
+        assert_eq!(Run::find(runs.path(), "latest").unwrap(), b);
+        let typo = b.id().replace("paper", "paepr");
+        let error = Run::find(runs.path(), &typo).unwrap_err().to_string();
+        assert!(error.contains(&format!("did you mean `{}`?", b.id())), "{error}");
+        assert!(error.contains(a.id()) && error.contains(runs.path().to_str().unwrap()), "{error}");
+        let error = Run::find(runs.path(), "nonsense").unwrap_err().to_string();
+        assert!(!error.contains("did you mean"), "{error}");
         assert!(!b.is_complete());
         assert_eq!(b.result_name(), "incomplete");
     }

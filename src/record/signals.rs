@@ -4,6 +4,7 @@
 use std::ops::Range;
 
 use super::columns::column_name;
+use super::document::RunResult;
 use super::run::Run;
 use super::{RecordError, Result};
 use crate::model::Free;
@@ -42,6 +43,8 @@ pub struct Signals {
     pub window: Range<usize>,
     /// What was asked of this FREE during the program.
     pub quantity: Quantity,
+    /// Whether what came after the program is worth a look: the run did not end as it should.
+    pub aftermath: bool,
 }
 
 impl Signals {
@@ -104,6 +107,7 @@ impl Signals {
             faults: get("faults"),
             window,
             quantity: Quantity::None,
+            aftermath: run.stop().is_none_or(|s| s.result != RunResult::Done),
         };
         let asked = |values: &[f64]| values[signals.window.clone()].iter().any(|v| v.is_finite());
         signals.quantity = if asked(&signals.reference) {
@@ -131,6 +135,11 @@ impl Signals {
     /// reference - angle, rad, one entry a record.
     pub fn error(&self) -> Vec<f64> {
         self.reference.iter().zip(&self.angle).map(|(r, y)| r - y).collect()
+    }
+
+    /// Time since the program's start of the moment `t_s` since the run's first record, s.
+    pub fn since_program(&self, t_s: f64) -> f64 {
+        t_s + self.t.first().copied().unwrap_or(0.0)
     }
 
     /// The true angle within the window, where the rig was simulated.
