@@ -21,6 +21,15 @@ mod fixture;
 
 use fixture::{PERIOD_NS, Scramble};
 
+impl Scramble {
+    fn float(&mut self) -> f64 {
+        f64::from_bits(self.bits())
+    }
+    fn of<T: Copy>(&mut self, all: &[T]) -> T {
+        all[self.bits() as usize % all.len()]
+    }
+}
+
 /// A record whose every field holds anything, NaN payloads included.
 fn scrambled(r: &mut Scramble, tick: u64, frees: usize) -> TickRecord {
     let mut record = TickRecord {
@@ -260,7 +269,7 @@ fn reruns_own_tool_accepts_the_file_of_a_finished_and_of_a_killed_run() {
     let runs = tempfile::tempdir().unwrap();
     let sequence = freerig::trajectory::paper_steps().unwrap();
     let program = Program::angle(0, sequence).unwrap();
-    let recorder = fixture::run(runs.path(), start(&["paper"]), &program, 1);
+    let recorder = fixture::run(runs.path(), start(&["paper"]), &program, 1, None);
     let run = recorder.finish(StopDocument::default()).unwrap();
     assert_eq!(run.stop().unwrap().rerun_error, "");
     let path = run.folder.join(RRD_NAME);
@@ -274,7 +283,7 @@ fn reruns_own_tool_accepts_the_file_of_a_finished_and_of_a_killed_run() {
     }
 
     // Killed: everything but the last half second of data is in the file by then.
-    let recorder = fixture::run(runs.path(), start(&["paper"]), &program, 1);
+    let recorder = fixture::run(runs.path(), start(&["paper"]), &program, 1, None);
     let folder = recorder.folder().to_owned();
     std::thread::sleep(std::time::Duration::from_millis(500));
     let cut = runs.path().join("cut.rrd");

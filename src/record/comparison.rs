@@ -207,10 +207,7 @@ impl Comparison {
 
     /// The page, with links to the runs' reports as seen from the folder `from`.
     fn html(&self, from: Option<&Path>) -> Result<String> {
-        let title = match self.rows.as_slice() {
-            [a, b] => format!("{} and {}", a.id, b.id),
-            rows => format!("{} runs", rows.len()),
-        };
+        let title = format!("Comparison of {} runs", self.rows.len());
         let mut page = Page::new(&title);
         page.raw(&format!("<header><h1>{}</h1><p class=\"badges\">", escape(&title)));
         if self.rows.iter().any(|r| r.simulated) {
@@ -244,7 +241,7 @@ impl Comparison {
             let clock = if row.stepped { "stepped clock" } else { "real time" };
             let simulated = if row.simulated { "SIMULATED, " } else { "" };
             page.raw(&format!(
-                "<tr><td class=\"text\"><a href=\"{}\">{}</a></td><td class=\"text\">{} <small>{simulated}{clock}</small></td>\
+                "<tr><td class=\"text id\"><a href=\"{}\">{}</a></td><td class=\"text\">{} <small>{simulated}{clock}</small></td>\
                  <td class=\"text\">{}, {}</td><td class=\"text\">{}</td>",
                 escape(&link(from, row)),
                 escape(&row.id),

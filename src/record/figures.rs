@@ -111,9 +111,10 @@ pub fn sweep(signals: &Signals) -> Plot {
     Plot { x_label: "pressure [psi]".into(), y_label: "twist [deg/mm]".into(), height: 420, lines, ..Plot::default() }
 }
 
-/// Angle of several runs of the same experiment: mean, one standard deviation either way, and each of them.
-pub fn repeats(runs: &[Signals]) -> Plot {
-    let Some(first) = runs.first() else { return Plot::default() };
+/// Several runs of the same experiment: mean of their angles with one standard deviation either way, and how far
+/// each is from the mean.
+pub fn repeats(runs: &[Signals]) -> (Plot, Plot) {
+    let Some(first) = runs.first() else { return Default::default() };
     let t: Vec<f64> = first.t[first.window.clone()].to_vec();
     let at = |run: &Signals| -> Vec<f64> {
         let window = run.window.clone();
@@ -141,16 +142,27 @@ pub fn repeats(runs: &[Signals]) -> Plot {
         let reference = degrees(&first.reference[first.window.clone()]);
         lines.push(Line::new("reference", palette::GREY, &t, reference).width(2));
     }
-    lines.extend(all.into_iter().map(|y| Line::new("", palette::YELLOW, &t, y).width(1)));
+    let apart = all.iter().enumerate().map(|(i, y)| {
+        let apart = y.iter().zip(&mean).map(|(y, m)| y - m).collect();
+        Line::new(&format!("run {}", i + 1), RUNS[i % RUNS.len()], &t, apart).width(1)
+    });
+    let apart = Plot {
+        x_label: TIME.into(),
+        y_label: "angle - mean [deg]".into(),
+        height: 240,
+        lines: apart.collect(),
+        ..Plot::default()
+    };
     lines.push(Line::new(&format!("mean of {n} runs"), palette::BLUE, &t, mean));
-    Plot {
+    let mean = Plot {
         x_label: TIME.into(),
         y_label: "angle [deg]".into(),
         height: 340,
         bands: vec![band],
         lines,
         ..Plot::default()
-    }
+    };
+    (mean, apart)
 }
 
 /// How many ticks woke up how late, and took how long.

@@ -60,9 +60,37 @@ pub(super) fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
+/// `text` for HTML; what stands between backticks is a command or a key.
+pub(super) fn prose(text: &str) -> String {
+    let pieces: Vec<String> = text.split('`').map(escape).collect();
+    let whole = pieces.len() % 2 == 1;
+    let mut html = String::new();
+    for (i, piece) in pieces.iter().enumerate() {
+        match (i, whole) {
+            (0, _) => html.push_str(piece),
+            (i, true) => {
+                html.push_str(if i % 2 == 1 { "<code>" } else { "</code>" });
+                html.push_str(piece);
+            }
+            // Unpaired ones stay as they are.
+            (_, false) => {
+                html.push('`');
+                html.push_str(piece);
+            }
+        }
+    }
+    html
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn backticks_become_code_where_they_are_paired() {
+        assert_eq!(prose("run `freerig clear`."), "run <code>freerig clear</code>.");
+        assert_eq!(prose("5` < 6"), "5` &lt; 6");
+    }
 
     #[test]
     fn an_angle_that_rounds_to_zero_has_no_sign() {

@@ -148,6 +148,8 @@ impl FreeMetrics {
         let angular = signals.quantity == Quantity::Angle;
         let sweep = signals.quantity == Quantity::Pressure;
         let (model_rmsd_rad, model_refusal) = match prediction {
+            // A FREE of which nothing was asked moves within its noise.
+            Ok(_) if signals.quantity == Quantity::None => (None, None),
             Ok(model) => (rms(angle.iter().zip(&model[window.clone()]).map(|(y, m)| y - m)), None),
             Err(reason) => (None, Some(reason.clone())),
         };
@@ -163,7 +165,7 @@ impl FreeMetrics {
                 .true_angle_in_window()
                 .filter(|_| angular)
                 .and_then(|truth| ErrorMetrics::of(t, reference, truth)),
-            moves: if angular { moves(t, reference, angle) } else { Vec::new() },
+            moves: if angular { moves_where_known(t, reference, angle) } else { Vec::new() },
             model_rmsd_rad,
             model_rmsd_percent: percent(model_rmsd_rad),
             model_refusal,
@@ -193,6 +195,13 @@ impl ErrorMetrics {
             final_rad: last.iter().sum::<f64>() / last.len() as f64,
         })
     }
+}
+
+/// [`moves`], of the records alone that hold an angle.
+fn moves_where_known(t: &[f64], reference: &[f64], y: &[f64]) -> Vec<MoveMetrics> {
+    let known: Vec<usize> = (0..y.len()).filter(|&i| y[i].is_finite()).collect();
+    let of = |values: &[f64]| known.iter().map(|&i| values[i]).collect::<Vec<_>>();
+    moves(&of(t), &of(reference), &of(y))
 }
 
 /// The moves between the holds of `reference`; the first starts from the angle at the start.

@@ -23,7 +23,10 @@ pub fn dynamic(signals: &Signals) -> Result<Vec<f64>, String> {
     }
     let motion = response(&free, Kinematics::Exact, &t, &p).map_err(|e| e.to_string())?;
     let angles: Vec<f64> = motion.into_iter().map(|(_, phi)| phi).collect();
-    Ok(signals.t.iter().map(|&at| interpolate(&t, &angles, at)).collect())
+    // Where the pressure is not known the model has nothing to say.
+    let known = |i: usize| !measured || signals.pressure.get(i).is_some_and(|p| p.is_finite());
+    let at = |(i, &at): (usize, &f64)| if known(i) { interpolate(&t, &angles, at) } else { f64::NAN };
+    Ok(signals.t.iter().enumerate().map(at).collect())
 }
 
 /// Angle at rest by the same model at equally spaced pressures from 0 to `highest` (Pa): (pressure, angle), Pa

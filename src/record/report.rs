@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::document::{RunKind, StartDocument, StopDocument};
-use super::html::{Page, degrees, escape};
+use super::html::{Page, degrees, escape, prose};
 use super::metrics::{ErrorMetrics, FreeMetrics, Metrics};
 use super::plot::Plot;
 use super::run::{REPORT_NAME, Run, write_atomically};
@@ -45,7 +45,7 @@ pub fn html(run: &Run) -> Result<String> {
     }
     page.raw("</p>");
     if let Some(stop) = run.stop().filter(|s| !s.message.is_empty()) {
-        page.raw(&format!("<p class=\"warning\">{}</p>", escape(&ending(stop, &signals))));
+        page.raw(&format!("<p class=\"warning\">{}</p>", prose(&ending(stop, &signals))));
     }
     if !start.note.is_empty() {
         page.raw(&format!("<p class=\"note\">{}</p>", escape(&start.note)));
@@ -197,7 +197,9 @@ fn repeats(page: &mut Page, run: &Run) -> Result<()> {
         }
     }
     page.raw("</div>");
-    page.figure("Response", &figures::repeats(&signals).svg()?);
+    let (mean, apart) = figures::repeats(&signals);
+    page.figure("Response", &mean.svg()?);
+    page.figure("Scatter", &apart.svg()?);
     page.raw("</section>");
     Ok(())
 }
@@ -244,7 +246,7 @@ fn faults(page: &mut Page, stop: Option<&StopDocument>, signals: &[Signals]) {
             f.code,
             escape(f.free.as_deref().unwrap_or("rig")),
             if f.latched { "yes" } else { "no" },
-            escape(&f.message)
+            prose(&f.message)
         ));
     }
     page.raw("</tbody></table>");

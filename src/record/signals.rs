@@ -10,6 +10,9 @@ use super::{RecordError, Result};
 use crate::model::Free;
 use crate::signal::Quantity;
 
+/// A reading of the pressure that is older counts as none, s: four periods of the slowest line there is.
+const STALE: f64 = 0.256;
+
 /// Signals of one FREE; every vector has one entry a record, not a number where there is no value.
 #[derive(Clone, Debug, Default)]
 pub struct Signals {
@@ -23,11 +26,11 @@ pub struct Signals {
     pub reference: Vec<f64>,
     /// Reference, Pa; not a number where no pressure was asked.
     pub reference_pressure: Vec<f64>,
-    /// Estimated angle, rad.
+    /// Estimated angle, rad; not a number while the estimate is not valid.
     pub angle: Vec<f64>,
     /// True angle of the simulated rig, rad; empty for hardware.
     pub true_angle: Vec<f64>,
-    /// Measured pressure, Pa.
+    /// Measured pressure, Pa; not a number where its reading is too old to count.
     pub pressure: Vec<f64>,
     /// Commanded pressure, Pa.
     pub command: Vec<f64>,
@@ -57,6 +60,7 @@ impl Signals {
             "reference_rad",
             "reference_pa",
             "angle_rad",
+            "estimate_valid",
             "true_angle_rad",
             "pressure_pa",
             "command_pa",
@@ -72,7 +76,7 @@ impl Signals {
         columns.extend(["t_s", "time_ns", "program_time_s"].map(String::from));
         let table = run.table(&columns)?;
         let get = |column: &str| table.get(&column_name(name, column)).to_vec();
-        let angle = get("angle_rad");
+        let mut angle = get("angle_rad");
         if angle.is_empty() {
             let reason = format!("it holds no record of the FREE `{name}`");
             return Err(RecordError::NoSamples { path: run.folder.clone(), reason });
@@ -89,8 +93,15 @@ impl Signals {
         // Whole nanoseconds of a year are beyond 53 bits; the difference of two near ones is not.
         let since = |own: f64, (record, t): (&f64, &f64)| t - zero - (record - own) * 1e-9;
         let records = table.get("time_ns").iter().zip(t);
-        let pressure_time =
+        let pressure_time: Vec<f64> =
             get("pressure_time_ns").iter().zip(records).map(|(&own, record)| since(own, record)).collect();
+        for (angle, valid) in angle.iter_mut().zip(get("estimate_valid")) {
+            *angle = if valid == 0.0 { f64::NAN } else { *angle };
+        }
+        let mut pressure = get("pressure_pa");
+        for ((pressure, read), t) in pressure.iter_mut().zip(&pressure_time).zip(t) {
+            *pressure = if t - zero - read > STALE { f64::NAN } else { *pressure };
+        }
         let mut signals = Self {
             name: name.into(),
             free: run.start().frees.iter().find(|f| f.name == name).map(|f| f.model.into()),
@@ -99,7 +110,7 @@ impl Signals {
             reference_pressure: get("reference_pa"),
             angle,
             true_angle: get("true_angle_rad"),
-            pressure: get("pressure_pa"),
+            pressure,
             command: get("command_pa"),
             terms: ["p_pa", "i_pa", "d_pa", "ff_pa"].map(get),
             pressure_time,

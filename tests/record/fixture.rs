@@ -25,12 +25,6 @@ impl Scramble {
         z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
         z ^ (z >> 31)
     }
-    pub fn float(&mut self) -> f64 {
-        f64::from_bits(self.bits())
-    }
-    pub fn of<T: Copy>(&mut self, all: &[T]) -> T {
-        all[self.bits() as usize % all.len()]
-    }
     /// Uniform in -1..1.
     pub fn unit(&mut self) -> f64 {
         self.bits() as f64 / u64::MAX as f64 * 2.0 - 1.0
@@ -64,19 +58,9 @@ pub fn start(kind: RunKind, names: &[&str]) -> StartDocument {
     }
 }
 
-/// Runs `program` and records it; 0.7 s before it and 0.2 s after it. The FREE is 3 % softer than its model.
-pub fn run(runs: &Path, start: StartDocument, program: &Program, seed: u64) -> Recorder {
-    run_live(runs, start, program, seed, None)
-}
-
-/// The same, shown by a live view.
-pub fn run_live(
-    runs: &Path,
-    mut start: StartDocument,
-    program: &Program,
-    seed: u64,
-    live: Option<LiveFeed>,
-) -> Recorder {
+/// Runs `program` and records it, 0.7 s before it and 0.2 s after it, shown by a live view where there is one. The FREE
+/// is 3 % softer than its model.
+pub fn run(runs: &Path, mut start: StartDocument, program: &Program, seed: u64, live: Option<LiveFeed>) -> Recorder {
     let gains = start.frees[0].gains;
     start.program = Some(program.clone());
     let options = RecordOptions { truth: true, live, ..RecordOptions::default() };
