@@ -136,7 +136,18 @@ pub fn run<B: Bench>(
     if let (Some(gains), Some(_)) = (own, &job.gains) {
         bench.request(Request::Gains { free: job.subject, gains })?;
     }
+    // The reports of the earlier ones know nothing yet of the later ones, and show their scatter.
+    if let [earlier @ .., _] = runs.as_slice() {
+        earlier.iter().for_each(report);
+    }
     Ok(runs)
+}
+
+/// Makes the report of `run`. The run itself is safe on the disk; without a report it still is a run.
+fn report(run: &Run) {
+    if let Err(error) = write_report(run) {
+        tracing::warn!(%error, run = run.id(), "the report could not be made");
+    }
 }
 
 fn once<B: Bench>(
@@ -177,10 +188,7 @@ fn once<B: Bench>(
             tell("taking the pressures down", back.duration, record);
         })?;
     }
-    // The run itself is safe on the disk; without a report it still is a run.
-    if let Err(error) = write_report(&run) {
-        tracing::warn!(%error, run = run.id(), "the report could not be made");
-    }
+    report(&run);
     Ok(run)
 }
 
