@@ -150,3 +150,26 @@ fn the_presets_on_the_bench() {
     assert!(published_step.sufficient());
     assert!(!paper_pi.sufficient() && !printed.stable && !published_trajectory.sufficient());
 }
+
+#[test]
+fn arming_refuses_the_published_gains_where_they_diverge() {
+    use freerig::config::Rig;
+    use freerig::daemon::{Bench, DaemonError, Stepped, procedure};
+    use freerig::signal::State;
+
+    let folder = tempfile::tempdir().unwrap();
+    let example = concat!(env!("CARGO_MANIFEST_DIR"), "/rig.toml");
+    let tick = Duration::from_micros(500);
+    for (period, dead) in [(tick, tick), (Duration::from_millis(2), Duration::ZERO)] {
+        let mut rig = Rig::load(std::path::Path::new(example)).unwrap();
+        rig.record.directory = folder.path().to_owned();
+        rig.control.period = period;
+        let free = &mut rig.control.frees[0];
+        (free.free, free.gains) = (published_code(), PUBLISHED_TRAJECTORY);
+        (free.regulator, free.imu) = (regulator(period, 0, dead), Some(imu(period, 0)));
+        let mut bench = Stepped::new(&rig).unwrap();
+        let error = procedure::arm(&mut bench, &rig, false).unwrap_err();
+        assert!(matches!(&error, DaemonError::Margin(what) if what.contains("unstable")), "{error}");
+        assert_ne!(bench.latest().state, State::Hold);
+    }
+}

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::{Context, Failure, Progress};
 use crate::config::Rig;
-use crate::rt::{self, Pair, Realtime, Rights, Snapshot};
+use crate::rt::{self, Pair, Realtime, Snapshot, Wakeups};
 use crate::units::{Frequency, Seconds};
 
 /// Edges of the printed histogram within a decade.
@@ -50,9 +50,7 @@ pub struct Args {
 /// What was measured.
 struct Measured {
     config: Realtime,
-    rights: Rights,
-    latency: Snapshot,
-    skipped: u64,
+    own: Wakeups,
     /// Or why there are none.
     pairs: Result<Vec<Pair>, String>,
 }
@@ -65,7 +63,7 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         .filter(|d| (Duration::from_millis(100)..=Duration::from_secs(24 * 3600)).contains(d))
         .ok_or_else(|| Failure::usage(anyhow!("a duration of {} is outside 100 ms to 24 h", args.duration)))?;
     let measured = measure(config, duration, args.pairs, context)?;
-    for refusal in measured.rights.refusals() {
+    for refusal in measured.own.rights.refusals() {
         context.note(format!("WARNING: {refusal}"));
     }
     if context.json { context.print_json(&summary(&measured)) } else { context.print(describe(&measured)) }
@@ -97,60 +95,33 @@ fn config(args: &Args, context: &Context) -> Result<Realtime, Failure> {
     Ok(Realtime { period, priority: Some(priority), cpu, lock_memory: true })
 }
 
-/// The loop in as many slices as there are pairs, each with cyclictest's, in changing order.
+/// The loop in as many turns as there are pairs, each with cyclictest's.
 fn measure(config: Realtime, duration: Duration, pairs: u32, context: &Context) -> Result<Measured, Failure> {
-    let hertz = 1.0 / config.period.as_secs_f64();
-    let whole = if pairs == 0 { duration } else { 2 * duration };
-    context.note(format!(
-        "measuring wake-ups at {hertz:.0} Hz for {:.0} s; cyclictest, if installed, in turn for as long again",
-        duration.as_secs_f64()
-    ));
-    let mut progress = Progress::new("latency", whole.as_secs_f64(), "s");
-    let slice = duration / pairs.max(1);
-    let mut begun = Duration::ZERO;
-    let mut latency = Snapshot::default();
-    let (mut skipped, mut rights) = (0, None);
-    let mut taken = Vec::new();
-    let mut without = (pairs == 0).then(|| "not asked for".to_owned());
-    for pair in 0..pairs.max(1) {
-        let mut own = None;
-        let mut theirs = None;
-        for turn in 0..2 {
-            let loop_turn = (turn + pair) % 2 == 0;
-            if !loop_turn && without.is_some() {
-                continue;
-            }
-            let mut watch = |passed: Duration| {
-                progress.set((begun + passed.min(slice)).as_secs_f64(), if loop_turn { "loop" } else { "cyclictest" });
-            };
-            if loop_turn {
-                let wakeups = rt::measure(config, slice, &mut watch)?;
-                latency = latency.and(&wakeups.latency);
-                skipped += wakeups.skipped;
-                own = Some(wakeups.latency);
-                rights = Some(wakeups.rights);
-            } else {
-                // Whether the loop would get its priority is not known before its first turn: the first pair
-                // begins with the loop.
-                let fifo = rights.as_ref().is_some_and(|r: &Rights| r.fifo.is_ok());
-                match rt::cyclictest(config, fifo, slice, &mut watch) {
-                    Ok(latency) => theirs = Some(latency),
-                    Err(error) => without = Some(error.to_string()),
-                }
-            }
-            begun += slice;
-        }
-        if let (Some(own), Some(cyclictest)) = (own, theirs) {
-            taken.push(Pair { own, cyclictest });
-        }
+    let (hertz, seconds) = (1.0 / config.period.as_secs_f64(), duration.as_secs_f64());
+    if pairs == 0 {
+        context.note(format!("measuring wake-ups at {hertz:.0} Hz for {seconds:.0} s"));
+        let mut progress = Progress::new("latency", seconds, "s");
+        let own = rt::measure(config, duration, &mut |passed| progress.set(passed.as_secs_f64(), "loop"))?;
+        return Ok(Measured { config, own, pairs: Err("not asked for".into()) });
     }
-    let rights = rights.ok_or_else(|| anyhow!("the loop was not measured"))?;
-    let pairs = without.map_or(Ok(taken), Err);
-    Ok(Measured { config, rights, latency, skipped, pairs })
+    context.note(format!(
+        "measuring wake-ups at {hertz:.0} Hz for {seconds:.0} s, and for as long again with cyclictest, if installed, in \
+         {pairs} turns each"
+    ));
+    let mut progress = Progress::new("latency", 2.0 * seconds, "s");
+    let (mut before, mut last) = (Duration::ZERO, Duration::ZERO);
+    let comparison = rt::compare(config, pairs, duration / pairs, &mut |who, passed| {
+        if passed < last {
+            before += duration / pairs;
+        }
+        last = passed;
+        progress.set((before + passed).as_secs_f64(), who);
+    })?;
+    Ok(Measured { config, own: comparison.own, pairs: comparison.pairs.map_err(|error| error.to_string()) })
 }
 
 fn describe(measured: &Measured) -> String {
-    let Measured { config, rights, latency, skipped, pairs } = measured;
+    let Measured { config, own: Wakeups { rights, latency, skipped }, pairs } = measured;
     let has = |granted: bool, what: &str| if granted { what.to_owned() } else { format!("NO {what}") };
     let mut text = format!(
         "{:.0} Hz, {}, {}, {}\nkernel {}\n",
@@ -215,7 +186,7 @@ fn describe(measured: &Measured) -> String {
 }
 
 fn summary(measured: &Measured) -> Value {
-    let Measured { config, rights, latency, skipped, pairs } = measured;
+    let Measured { config, own: Wakeups { rights, latency, skipped }, pairs } = measured;
     let seconds = |ns: Option<u64>| ns.map(|ns| ns as f64 * 1e-9);
     let percentiles = |snapshot: &Snapshot| json!({ "p50_s": seconds(snapshot.percentile(50.0)), "p99_s": seconds(snapshot.percentile(99.0)) });
     let histogram: Vec<_> = rows(latency)
@@ -287,20 +258,20 @@ fn kernel() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rt::Histogram;
+    use crate::rt::{Histogram, Rights};
 
     fn measured(values: &[u64], pairs: Result<Vec<Pair>, String>) -> Measured {
         let histogram = Histogram::new();
         values.iter().for_each(|&ns| histogram.record(ns));
         let config = Realtime { period: Duration::from_millis(2), priority: Some(80), cpu: None, lock_memory: true };
         let rights = Rights { fifo: Ok(80), locked: Ok(()), pinned: Ok(None), awake: Ok(()) };
-        Measured { config, rights, latency: histogram.snapshot(), skipped: 3, pairs }
+        Measured { config, own: Wakeups { rights, latency: histogram.snapshot(), skipped: 3 }, pairs }
     }
 
     #[test]
     fn the_rows_hold_every_tick_once_and_leave_nothing_out_between() {
         let measured = measured(&[500, 17_000, 18_000, 65_000_000, 60_000_000_000], Err("x".into()));
-        let rows = rows(&measured.latency);
+        let rows = rows(&measured.own.latency);
         assert_eq!(rows.iter().map(|row| row.2).sum::<u64>(), 5);
         assert_eq!((rows[0].0, rows[0].2), (0, 1));
         assert!(rows.windows(2).all(|pair| pair[0].1 == pair[1].0));
@@ -319,7 +290,7 @@ mod tests {
     #[test]
     fn a_ratio_beyond_the_limit_is_said() {
         let pair = |own: u64| {
-            let counted = |ns: u64| measured(&[ns], Ok(vec![])).latency;
+            let counted = |ns: u64| measured(&[ns], Ok(vec![])).own.latency;
             Pair { own: counted(own), cyclictest: counted(20_000) }
         };
         assert!(describe(&measured(&[20_000], Ok(vec![pair(20_000)]))).contains("(within 1.3)"));

@@ -65,6 +65,7 @@ struct Channel {
 #[derive(Clone, Copy, Default)]
 struct Judged {
     estimate: Estimate,
+    reading: Reading,
     verdict: Verdict,
 }
 
@@ -187,7 +188,7 @@ impl Controller {
         let judged = self.judge(input, dt, stall);
         let verdict = judged.iter().fold(rig, |all, free| all.merge(free.verdict));
         let commands = self.commands();
-        let waiting_for = self.waiting_for(input);
+        let waiting_for = self.waiting_for(input, &judged);
         let sight = Sight {
             now,
             vent_time: self.vent_time,
@@ -235,11 +236,12 @@ impl Controller {
         let now = input.time;
         let state = self.phase.state();
         let armed = state.is_armed();
-        let tared = !matches!(state, State::Boot | State::Disarmed | State::Arming);
+        // A session goes from the tare to the end of its ramp or vent; beyond it nobody relies on the angle's zero.
+        let session = !matches!(state, State::Boot | State::Disarmed | State::Arming | State::Faulted);
         let mut judged = [Judged::default(); MAX_FREES];
         for (index, channel) in self.channels.iter_mut().enumerate() {
             let reading = match &mut channel.estimator {
-                Some(estimator) => estimator.step(&input.imu[index], now, dt),
+                Some(estimator) => estimator.step(&input.imu[index], now, dt, session),
                 None => Reading::None,
             };
             let estimate = channel.estimator.as_ref().map(Estimator::estimate).unwrap_or_default();
@@ -255,9 +257,9 @@ impl Controller {
                 command: channel.command,
                 reference: &reference.unwrap_or_default(),
                 armed,
-                tared,
+                session,
             });
-            judged[index] = Judged { estimate, verdict };
+            judged[index] = Judged { estimate, reading, verdict };
         }
         judged
     }
@@ -343,8 +345,8 @@ impl Controller {
         None
     }
 
-    /// What arming waits for still; on the way, takes up readings for the tare.
-    fn waiting_for(&mut self, input: &TickInput) -> Option<Refusal> {
+    /// What arming waits for still; on the way, takes up good readings for the tare.
+    fn waiting_for(&mut self, input: &TickInput, judged: &[Judged; MAX_FREES]) -> Option<Refusal> {
         let now = input.time;
         let mut first = None;
         for (index, channel) in self.channels.iter().enumerate() {
@@ -360,7 +362,9 @@ impl Controller {
             } else if measured && !calibrated {
                 RefusalCode::NotCalibrated
             } else if measured && let Phase::Arming(arming) = &mut self.phase {
-                arming.tare[index].add(&input.imu[index]);
+                if judged[index].reading == Reading::Accepted {
+                    arming.tare[index].add(&input.imu[index]);
+                }
                 if arming.tare[index].orientation().is_some() { RefusalCode::None } else { RefusalCode::NotStill }
             } else {
                 RefusalCode::None

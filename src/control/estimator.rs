@@ -7,7 +7,9 @@
 //!
 //! **Plausible** is a reading with a norm within 0.02 of one, a rate within the gyro's range, a tilt below 160 deg, and an angle that the gyro
 //! can explain ([`JUMP_MAX`], growing by [`JUMP_RATE`] with the time since the reading before). Any other is
-//! refused and counted by the interlocks; the estimate goes on from the last good one.
+//! refused and counted by the interlocks; the estimate goes on from the last good one. Between two sessions the
+//! zero belongs to nobody: there, an axis that stays tilted for [`NEW_ZERO_AFTER`] (the IMU was mounted anew, or a
+//! reset has turned its north) becomes the new zero.
 //!
 //! **Now.** A reading speaks of the time `age + delay` ago. Between and beyond readings,
 //!
@@ -40,6 +42,9 @@ pub const JUMP_MAX: f64 = 0.25;
 /// How it grows with the time between the readings beyond one period, rad/s: after an outage a reading is let in
 /// again, half a turn after 0.6 s.
 pub const JUMP_RATE: f64 = 5.0;
+/// How long the tilt must be too large outside a session until the present orientation becomes the zero, s: as long
+/// as any other difference is refused ([`JUMP_RATE`]).
+pub const NEW_ZERO_AFTER: f64 = 0.6;
 /// Fastest rate that a reading may give, rad/s: the gyro's range is 2000 deg/s.
 pub const RATE_MAX: f64 = 36.0;
 /// Longest time over which a reading is extrapolated, s.
@@ -104,9 +109,10 @@ impl Estimator {
         };
     }
 
-    /// One tick, `dt` seconds after the one before, with the latest reading.
-    pub fn step(&mut self, sample: &ImuSample, now: Time, dt: f64) -> Reading {
-        let reading = self.take(sample, now);
+    /// One tick, `dt` seconds after the one before, with the latest reading; `session` says whether somebody relies
+    /// on the angle's zero.
+    pub fn step(&mut self, sample: &ImuSample, now: Time, dt: f64, session: bool) -> Reading {
+        let reading = self.take(sample, now, session);
         let e = &mut self.estimate;
         if e.valid {
             let horizon = (now.seconds_since(self.accepted).max(0.0) + self.delay).min(HORIZON_MAX);
@@ -120,7 +126,7 @@ impl Estimator {
         reading
     }
 
-    fn take(&mut self, sample: &ImuSample, now: Time) -> Reading {
+    fn take(&mut self, sample: &ImuSample, now: Time, session: bool) -> Reading {
         if sample.health == ImuHealth::Absent || sample.sequence == self.estimate.sequence {
             return Reading::None;
         }
@@ -137,12 +143,16 @@ impl Estimator {
             // Before the first tare the first orientation seen is as good a zero as any.
             self.estimate.tare = orientation;
         }
-        let (twist, tilt) = swing_twist(difference(self.estimate.tare, orientation), self.axis);
-        if tilt > TILT_MAX {
-            return Reading::Refused;
-        }
         // A reading from the future is a clock gone wrong: it counts from its arrival.
         let taken = if sample.time > now { now } else { sample.time };
+        let (mut twist, mut tilt) = swing_twist(difference(self.estimate.tare, orientation), self.axis);
+        if tilt > TILT_MAX {
+            if session || self.estimate.valid && taken.seconds_since(self.accepted) < NEW_ZERO_AFTER {
+                return Reading::Refused;
+            }
+            self.tare(orientation);
+            (twist, tilt) = (0.0, 0.0);
+        }
         let e = &mut self.estimate;
         let angle = if e.valid {
             let elapsed = taken.seconds_since(self.accepted).max(0.0);
@@ -312,7 +322,11 @@ mod tests {
                 let unit = PI / 180.0 / 16.0;
                 latest = sample(1 + (k / 5) as u32, now, q, (rate / unit).round() * unit);
             }
-            assert_ne!(estimator.step(&latest, Time::from_nanos(k * 2_000_000), 2e-3), Reading::Refused, "t = {now}");
+            assert_ne!(
+                estimator.step(&latest, Time::from_nanos(k * 2_000_000), 2e-3, true),
+                Reading::Refused,
+                "t = {now}"
+            );
             see(now, estimator.estimate());
         }
     }
@@ -375,8 +389,8 @@ mod tests {
             let t = f64::from(k) * 0.01;
             let q = quaternion(turned(0.7 * t));
             let now = Time::from_nanos(u64::from(k) * 10_000_000);
-            plus.step(&sample(k + 1, t, q, 0.7), now, 2e-3);
-            minus.step(&sample(k + 1, t, q.map(|x| -x), 0.7), now, 2e-3);
+            plus.step(&sample(k + 1, t, q, 0.7), now, 2e-3, true);
+            minus.step(&sample(k + 1, t, q.map(|x| -x), 0.7), now, 2e-3, true);
             assert_eq!(plus.estimate(), minus.estimate());
         }
         assert!((plus.estimate().measured_angle - 0.7 * 19.99).abs() < 1e-9);
@@ -389,7 +403,7 @@ mod tests {
         let mut estimator = Estimator::new(&channel(), 2e-3);
         estimator.tare([1.0, 0.0, 0.0, 0.0]);
         for k in 0..5 {
-            assert_eq!(estimator.step(&good(k), at(k).1, 2e-3), Reading::Accepted);
+            assert_eq!(estimator.step(&good(k), at(k).1, 2e-3, true), Reading::Accepted);
         }
         let before = estimator.estimate().angle;
         let flip = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 175f64.to_radians());
@@ -407,16 +421,33 @@ mod tests {
         ];
         for bad in bad {
             let mut estimator = estimator;
-            assert_eq!(estimator.step(&bad, at(5).1, 2e-3), Reading::Refused, "{bad:?}");
+            assert_eq!(estimator.step(&bad, at(5).1, 2e-3, true), Reading::Refused, "{bad:?}");
             assert!((estimator.estimate().angle - before).abs() < 1e-12);
         }
         for n in [0.981, 1.019] {
             let mut estimator = estimator;
             let sample = ImuSample { quaternion: off(n), ..good(5) };
-            assert_eq!(estimator.step(&sample, at(5).1, 2e-3), Reading::Accepted);
+            assert_eq!(estimator.step(&sample, at(5).1, 2e-3, true), Reading::Accepted);
         }
         let jump = ImuSample { quaternion: quaternion(turned(0.1 + 0.99 * JUMP_MAX)), ..good(5) };
-        assert_eq!(estimator.step(&jump, at(5).1, 2e-3), Reading::Accepted);
+        assert_eq!(estimator.step(&jump, at(5).1, 2e-3, true), Reading::Accepted);
+    }
+
+    #[test]
+    fn an_axis_that_stays_tilted_is_the_new_zero_between_sessions_and_never_within_one() {
+        let tilted = quaternion(UnitQuaternion::from_axis_angle(&Vector3::x_axis(), 175f64.to_radians()));
+        for (session, becomes_zero) in [(true, None), (false, Some(60))] {
+            let mut estimator = Estimator::new(&channel(), 2e-3);
+            estimator.tare([1.0, 0.0, 0.0, 0.0]);
+            let mut step = |k: u32, q| {
+                let s = sample(k + 1, f64::from(k) * 0.01, q, 0.0);
+                estimator.step(&s, Time::from_nanos(u64::from(k) * 10_000_000), 2e-3, session)
+            };
+            assert_eq!(step(0, [1.0, 0.0, 0.0, 0.0]), Reading::Accepted);
+            let first = (1..200).find(|&k| step(k, tilted) == Reading::Accepted);
+            assert_eq!(first, becomes_zero, "{session}");
+            assert_eq!(estimator.estimate().angle, 0.0);
+        }
     }
 
     #[test]
@@ -428,7 +459,7 @@ mod tests {
             let t = f64::from(k) * 5e-4;
             let angle = 0.8 * (20.0 * t).sin();
             let s = sample(k + 1, t, quaternion(turned(angle)), 16.0 * (20.0 * t).cos());
-            estimator.step(&s, Time::from_nanos(u64::from(k) * 500_000), 5e-4);
+            estimator.step(&s, Time::from_nanos(u64::from(k) * 500_000), 5e-4, true);
             assert!((estimator.estimate().angle - angle).abs() < 1e-12);
         }
     }

@@ -185,8 +185,8 @@ pub struct Seen<'a> {
     pub reference: &'a Reference,
     /// Armed: a regulator that holds or exhausts by itself is a fault then.
     pub armed: bool,
-    /// The angle has been tared for this session: its envelope counts.
-    pub tared: bool,
+    /// The angle has been tared and the session is not over: its envelope counts.
+    pub session: bool,
 }
 
 /// The interlocks of one FREE.
@@ -203,6 +203,8 @@ pub struct FreeInterlocks {
     above_warn: Option<Time>,
     out_of_range: u32,
     implausible: u32,
+    /// What the IMU is waited for, until a good reading is back.
+    imu_gone: Option<FaultCode>,
     following: Following,
     off_reference: Option<Time>,
 }
@@ -221,6 +223,7 @@ impl FreeInterlocks {
             above_warn: None,
             out_of_range: 0,
             implausible: 0,
+            imu_gone: None,
             following: Following::default(),
             off_reference: None,
         }
@@ -361,11 +364,20 @@ impl FreeInterlocks {
         }
         let Some(age) = self.accepted.silence(now) else { return };
         let reaction = if over(age, IMU_RAMP_AGE) { Reaction::Ramp } else { Reaction::Hold };
-        if self.readings.silence(now).is_some_and(|s| over(s, STALE_PERIODS * imu.period.as_secs_f64())) {
-            verdict.add(FaultCode::ImuStale, reaction);
+        if accepted {
+            self.imu_gone = None;
+        }
+        // Only a good reading ends it: an IMU that stops being silent and begins to restart is not back.
+        let stale = self.readings.silence(now).is_some_and(|s| over(s, STALE_PERIODS * imu.period.as_secs_f64()));
+        if stale {
+            self.imu_gone.get_or_insert(FaultCode::ImuStale);
         }
         if self.implausible >= SAMPLES_DEBOUNCE {
+            self.imu_gone.get_or_insert(FaultCode::ImuImplausible);
             verdict.add(FaultCode::ImuImplausible, reaction);
+        }
+        if let Some(code) = self.imu_gone {
+            verdict.add(code, reaction);
         }
     }
 
@@ -374,9 +386,9 @@ impl FreeInterlocks {
         let outside = |(lowest, highest): (f64, f64)| {
             estimate.valid && !(estimate.measured_angle >= lowest && estimate.measured_angle <= highest)
         };
-        if seen.tared && outside(self.limits.angle_hard) {
+        if seen.session && outside(self.limits.angle_hard) {
             verdict.add(FaultCode::AngleLimit, Reaction::Vent);
-        } else if seen.tared && outside(self.limits.angle_soft) {
+        } else if seen.session && outside(self.limits.angle_soft) {
             verdict.add(FaultCode::AngleLimit, Reaction::Ramp);
         }
         let (largest, time) = self.limits.tracking_error;

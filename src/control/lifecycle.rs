@@ -22,7 +22,7 @@
 //!                          +------------------------- Faulted <----------------------------+
 //!
 //!   vent fault:  Armed, RampDown, Faulting(hold), Faulting(ramp) -> Faulting(vent)
-//!   overpressure: Disarmed, Arming -> Faulting(vent)          not vented in time: RampDown -> Faulting(vent)
+//!   overpressure: Boot, Disarmed, Arming -> Faulting(vent)    not vented in time: RampDown -> Faulting(vent)
 //!   emergency stop: from anywhere -> Faulted
 //! ```
 //!
@@ -244,8 +244,8 @@ impl Phase {
         let state = self.state();
         let phase = self.latch(sight);
         let (phase, retired) = if sight.estop { phase.stopped(sight) } else { phase.react(sight) };
-        // A reaction in this very tick leaves no room for a request.
-        let free_to_act = phase.state() == state && !sight.estop;
+        // A reaction in this very tick leaves no room for a request; the end of a hold does.
+        let free_to_act = (phase.state() == state || phase.state() == State::Hold) && !sight.estop;
         let mut step = Step { phase, refusal: Refusal::NONE, retired };
         if let Some(request) = sight.request {
             step = if free_to_act { step.ask(request, sight) } else { step.refuse(busy_with_fault(sight)) };
@@ -282,7 +282,7 @@ impl Phase {
         let overpressure =
             latching.contains(FaultCode::OverpressureHard) || latching.contains(FaultCode::OverpressureSoft);
         match (self, reaction) {
-            (Phase::Disarmed | Phase::Arming(_), _) if overpressure => (Phase::Faulting(vent()), None),
+            (Phase::Boot | Phase::Disarmed | Phase::Arming(_), _) if overpressure => (Phase::Faulting(vent()), None),
             (armed @ Phase::Armed(_), Reaction::Vent) => (Phase::Faulting(vent()), armed.program()),
             (armed @ Phase::Armed(_), Reaction::Ramp) => {
                 (Phase::Faulting(Faulting::Ramp(ramp, latching)), armed.program())

@@ -17,6 +17,8 @@ use crate::sim::Plant;
 const RECORDS: usize = 4096;
 /// Requests that may wait for the tick, one of which it takes at a time.
 const REQUESTS: usize = 16;
+/// Programs that may wait to be freed: two for every request.
+const RETIRED: usize = 4 * REQUESTS;
 
 /// The ends of every slot and ring, to be handed out.
 pub struct Joints {
@@ -82,7 +84,7 @@ pub fn join(rig: &Rig, plant: Option<Arc<Mutex<Plant>>>, switches: Switches) -> 
     let valve = rig.control.dump_valve.then(&mut command);
     let (record_in, record_out) = RingBuffer::new(RECORDS);
     let (request_in, request_out) = RingBuffer::new(REQUESTS);
-    let (retired_in, retired_out) = RingBuffer::new(REQUESTS);
+    let (retired_in, retired_out) = RingBuffer::new(RETIRED);
     let tick = Tick {
         controller: Controller::new(&rig.control)?,
         imu,

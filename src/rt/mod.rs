@@ -30,4 +30,4 @@ mod wakeup;
 pub use histogram::{Histogram, Snapshot};
 pub use periodic::{Error, Handle, Realtime, Statistics, Timing, run, spawn};
 pub use rights::{Refusal, Rights, fifo};
-pub use wakeup::{CyclictestError, Pair, Wakeups, cyclictest, measure, median_ratio};
+pub use wakeup::{Comparison, CyclictestError, Pair, Wakeups, compare, measure, median_ratio};

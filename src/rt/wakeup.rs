@@ -93,13 +93,70 @@ pub fn measure(
     Ok(Wakeups { latency: statistics.latency.snapshot(), skipped: statistics.skipped(), rights })
 }
 
+/// What [`compare`] has found.
+#[derive(Debug)]
+pub struct Comparison {
+    /// The loop, all its turns together.
+    pub own: Wakeups,
+    /// The pairs, or why there are none.
+    pub pairs: Result<Vec<Pair>, CyclictestError>,
+}
+
+/// Runs the loop `pairs` times (at least once) for `turn`, and cyclictest as often in between, in changing order.
+/// Where cyclictest cannot be run, the loop is measured all the same. `watch` is told who runs and what has passed of
+/// the turn.
+///
+/// # Errors
+///
+/// Those of [`measure`].
+pub fn compare(
+    config: Realtime,
+    pairs: u32,
+    turn: Duration,
+    watch: &mut dyn FnMut(&'static str, Duration),
+) -> Result<Comparison, periodic::Error> {
+    // The first pair begins with the loop, which finds out whether there are real-time rights.
+    let own_turn = |watch: &mut dyn FnMut(&'static str, Duration)| measure(config, turn, &mut |t| watch("loop", t));
+    let mut own = own_turn(watch)?;
+    let mut first = Some(own.latency.clone());
+    let (fifo, mut taken, mut failure) = (own.rights.fifo.is_ok(), Vec::new(), None);
+    for pair in 0..pairs.max(1) {
+        let mut latest = first.take();
+        if pair % 2 == 0 && latest.is_none() {
+            latest = Some(own.add(own_turn(watch)?));
+        }
+        let mut theirs = None;
+        if failure.is_none() {
+            match cyclictest(config, fifo, turn, &mut |t| watch("cyclictest", t)) {
+                Ok(latency) => theirs = Some(latency),
+                Err(error) => failure = Some(error),
+            }
+        }
+        let latest = match latest {
+            Some(latest) => latest,
+            None => own.add(own_turn(watch)?),
+        };
+        taken.extend(theirs.map(|cyclictest| Pair { own: latest, cyclictest }));
+    }
+    Ok(Comparison { own, pairs: failure.map_or(Ok(taken), Err) })
+}
+
+impl Wakeups {
+    /// Adds a later turn; returns its latencies alone.
+    fn add(&mut self, turn: Wakeups) -> Snapshot {
+        self.latency = self.latency.and(&turn.latency);
+        self.skipped += turn.skipped;
+        turn.latency
+    }
+}
+
 /// Runs cyclictest for `duration` with one thread as `config` has it; `fifo` says whether the loop itself got its
 /// priority, without which cyclictest stays on the ordinary scheduler as well.
 ///
 /// # Errors
 ///
 /// [`CyclictestError`].
-pub fn cyclictest(
+fn cyclictest(
     config: Realtime,
     fifo: bool,
     duration: Duration,

@@ -50,6 +50,30 @@ fn overpressure_vents_even_while_disarmed() {
 }
 
 #[test]
+fn overpressure_vents_even_before_every_device_has_spoken() {
+    let mut rig = Rig::one();
+    rig.devices[0].imu_runs = false;
+    rig.run_for(0.1);
+    assert_eq!(rig.last.state, State::Boot);
+    rig.devices[0].stuck = Some(12.0 * PSI);
+    rig.run_for(0.02);
+    vents(&mut rig, FaultCode::OverpressureHard);
+}
+
+#[test]
+fn an_imu_that_comes_back_with_another_north_does_not_stand_against_clearing() {
+    let mut rig = Rig::tracking(3.0);
+    rig.devices[0].imu_health = ImuHealth::Restarting;
+    rig.until(6.0, |r| r.state == State::Faulted);
+    // Beyond the hard envelope of an angle whose zero is gone.
+    rig.devices[0].angle = 2.5;
+    clears(&mut rig, |r| r.devices[0].imu_health = ImuHealth::Good);
+    rig.ask(Request::Arm);
+    assert_eq!(rig.run_for(0.5).state, State::Hold);
+    assert!(rig.last.frees[0].estimate.angle.abs() < 1e-12);
+}
+
+#[test]
 fn overpressure_soft_ramps_down_after_100_ms() {
     let mut rig = Rig::tracking(6.0);
     rig.devices[0].stuck = Some(10.6 * PSI);
@@ -212,6 +236,20 @@ fn imu_stale_holds_after_three_periods_and_resumes_as_hold() {
     rig.until(0.02, |r| r.state == State::Hold);
     assert_eq!(rig.last.frees[0].command, held);
     assert!(rig.last.latched.is_empty());
+}
+
+#[test]
+fn an_imu_that_is_silent_and_then_restarts_is_not_back() {
+    let mut rig = Rig::tracking(3.0);
+    rig.devices[0].imu_runs = false;
+    rig.until(0.1, |r| r.state == State::Faulting);
+    rig.devices[0].imu_runs = true;
+    rig.devices[0].imu_health = ImuHealth::Restarting;
+    let t = rig.until(1.0, |r| {
+        assert_eq!(r.state, State::Faulting);
+        !r.latched.is_empty()
+    });
+    assert!(t < 0.2 && rig.last.latched.contains(FaultCode::ImuStale), "{t} {:?}", rig.last.latched);
 }
 
 #[test]

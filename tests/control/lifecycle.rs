@@ -36,6 +36,34 @@ fn arming_tares_and_holds() {
 }
 
 #[test]
+fn a_reading_that_cannot_be_stays_out_of_the_tare() {
+    let mut rig = Rig::one();
+    rig.run_for(0.05);
+    rig.ask(Request::Arm);
+    rig.run_for(0.04);
+    // A flipped bit: half a radian within 10 ms, and no rate.
+    rig.devices[0].angle = 0.5;
+    rig.run_for(0.01);
+    rig.devices[0].angle = 0.0;
+    rig.run_for(0.5);
+    assert_eq!(rig.last.state, State::Hold);
+    assert!(rig.last.frees[0].estimate.angle.abs() < 1e-12, "{:?}", rig.last.frees[0].estimate);
+}
+
+#[test]
+fn a_request_in_the_tick_in_which_a_hold_ends_is_heard() {
+    let mut rig = Rig::tracking(3.0);
+    rig.devices[0].imu_runs = false;
+    rig.until(0.1, |r| r.state == State::Faulting);
+    rig.devices[0].imu_runs = true;
+    while !(rig.input.tick + 1).is_multiple_of(IMU_TICKS) {
+        assert_eq!(rig.tick().state, State::Faulting);
+    }
+    let record = rig.ask(Request::Disarm);
+    assert_eq!((record.state, record.refusal), (State::RampDown, Refusal::NONE));
+}
+
+#[test]
 fn arming_is_refused_at_once_where_something_speaks_against_it() {
     for (code, prepare) in [
         (RefusalCode::ConfigChanged, (|r| r.input.config_changed = true) as fn(&mut Rig)),

@@ -2,6 +2,7 @@
 
 mod faults;
 mod harness;
+mod ideal;
 mod invariants;
 mod lifecycle;
 mod no_alloc;
