@@ -176,7 +176,8 @@ fn describe(measured: &Measured) -> String {
             let (p50, p99) = (ratio(50.0).unwrap_or(f64::NAN), ratio(99.0).unwrap_or(f64::NAN));
             let _ = write!(
                 text,
-                "ratio to cyclictest, median of {}: p50 {p50:.2}, p99 {p99:.2} ({} {RATIO})",
+                "ratio to cyclictest{}, median of {}: p50 {p50:.2}, p99 {p99:.2} ({} {RATIO})",
+                if config.cpu.is_none() { " (which binds itself to a CPU)" } else { "" },
                 pairs.len(),
                 if p50 <= RATIO && p99 <= RATIO { "within" } else { "NOT within" },
             );

@@ -151,7 +151,8 @@ impl Wakeups {
 }
 
 /// Runs cyclictest for `duration` with one thread as `config` has it; `fifo` says whether the loop itself got its
-/// priority, without which cyclictest stays on the ordinary scheduler as well.
+/// priority, without which cyclictest stays on the ordinary scheduler as well. Where `config` names no CPU,
+/// cyclictest binds its thread to the first one all the same, and cannot be told otherwise.
 ///
 /// # Errors
 ///
