@@ -398,6 +398,15 @@ struct Owner {
 
 impl Owner {
     fn new(units: usize) -> Self {
+        Self::with_stream(units, |stream| stream)
+    }
+
+    /// An owner whose line is what `wrap` makes of it.
+    fn with_stream<S, W>(units: usize, wrap: W) -> Self
+    where
+        S: AsyncRead + AsyncWrite + Unpin + 'static,
+        W: Fn(Tap<MemoryStream>) -> S + 'static,
+    {
         let bench = Bench::new(units);
         let (command, commands) = triple_buffer(&Command::default());
         let (publish, samples) = (0..units).map(|_| triple_buffer(&PressureSample::default())).unzip();
@@ -405,7 +414,7 @@ impl Owner {
         let (line, clock, transcript) = (bench.line.clone(), bench.stepper.clock(), bench.transcript.clone());
         let open = move || {
             let opened = MemoryStream::open(&line, clock.clone())
-                .map(|inner| Tap { inner, clock: clock.clone(), transcript: transcript.clone() })
+                .map(|inner| wrap(Tap { inner, clock: clock.clone(), transcript: transcript.clone() }))
                 .map_err(|e| HardwareError::Open {
                     device: "the line".into(),
                     reason: e.to_string(),
@@ -637,5 +646,192 @@ fn the_same_driver_works_on_a_real_pseudo_terminal() {
     thread.join().unwrap();
     for id in *b"AB" {
         assert_eq!(bench.line.lock().unwrap().unit(id).unwrap().setpoint(), 0.0);
+    }
+}
+
+#[test]
+fn a_line_that_babbles_is_named_and_zero_goes_out_all_the_same() {
+    let bench = Bench::new(2);
+    let mut line = bench.line();
+    let mut unit = bench.connected(&mut line);
+    bench.mischief[0].next(1, Misbehaviour::Babble);
+    let heard = bench.line.lock().unwrap().eavesdrop();
+    let error = bench.drive(unit.on(&mut line).write(PSI)).unwrap_err();
+    assert!(error.is_babble(), "{error}");
+    let before = bench.stepper.now();
+    assert!(bench.drive(unit.on(&mut line).zero_blindly()).unwrap_err().is_babble());
+    // The unit hears with a wire of its own.
+    bench.drive(bench.stepper.clock().sleep(ms(10)));
+    assert_eq!(heard.lock().unwrap().last().unwrap(), b"AS0.0000");
+    assert!(bench.stepper.now().since(before) < ms(400));
+    bench.line.lock().unwrap().hush();
+    let again = bench.drive(unit.on(&mut line).zero_blindly());
+    assert!(again.as_ref().is_err_and(AlicatError::is_out_of_step), "{again:?}");
+    bench.drive(unit.on(&mut line).zero_blindly()).unwrap();
+}
+
+#[test]
+fn a_unit_that_babbles_does_not_keep_zero_from_the_others() {
+    let mut owner = Owner::new(2);
+    owner.run(ms(2000), Some(5.0));
+    owner.bench.mischief[0].next(1, Misbehaviour::Babble);
+    owner.run(ms(1500), Some(5.0));
+    for i in 0..2 {
+        assert_eq!(owner.sample(i).health, RegulatorHealth::Lost);
+    }
+    assert!(owner.pressure(1) < 0.01 * PSI, "{}", owner.pressure(1));
+    let error = owner.statistics.units[1].last_error().unwrap().to_string();
+    assert!(error.contains("babbles"), "{error}");
+    owner.bench.line.lock().unwrap().hush();
+    owner.run(ms(2500), Some(5.0));
+    for i in 0..2 {
+        assert_eq!(owner.sample(i).health, RegulatorHealth::Good);
+    }
+}
+
+/// Panics in the write after `left` others.
+struct Explosive<S> {
+    inner: S,
+    left: Arc<Mutex<u32>>,
+}
+
+impl<S: AsyncRead + Unpin> AsyncRead for Explosive<S> {
+    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.inner).poll_read(cx, buf)
+    }
+}
+
+impl<S: AsyncWrite + Unpin> AsyncWrite for Explosive<S> {
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        let left = {
+            let mut left = self.left.lock().unwrap();
+            *left = left.wrapping_sub(1);
+            *left
+        };
+        assert_ne!(left, 0, "the bug under test");
+        Pin::new(&mut self.inner).poll_write(cx, bytes)
+    }
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.inner).poll_flush(cx)
+    }
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.inner).poll_shutdown(cx)
+    }
+}
+
+#[test]
+fn an_owner_that_panics_opens_the_line_again_and_zero_is_the_first_frame() {
+    let left = Arc::new(Mutex::new(60));
+    let fuse = left.clone();
+    let mut owner = Owner::with_stream(1, move |inner| Explosive { inner, left: fuse.clone() });
+    let heard = owner.bench.line.lock().unwrap().eavesdrop();
+    let mut before = 0;
+    while *left.lock().unwrap() <= 60 {
+        before = heard.lock().unwrap().len();
+        owner.run(ms(2), Some(5.0));
+    }
+    assert!(owner.pressure(0) > 1.0 * PSI);
+    let panicked = owner.statistics.line.reconnects.get();
+    owner.run(ms(300), Some(5.0));
+    assert!(owner.statistics.line.reconnects.get() + panicked >= 1);
+    assert_eq!(heard.lock().unwrap()[before], b"AS0.0000");
+    owner.run(ms(2000), Some(5.0));
+    assert_eq!(owner.sample(0).health, RegulatorHealth::Good);
+}
+
+mod fuzz {
+    use freerig::hardware::alicat_frame::{Columns, register};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// A frame as a unit writes it.
+    fn frame() -> impl Strategy<Value = (f64, f64, String)> {
+        let tokens = proptest::sample::subsequence(vec!["LCK", "HLD", "POV", "ADC", "EXH", "OPL", "MOV", "QQQ"], 0..4);
+        (-2_000i32..110_000, 0i32..110_000, tokens).prop_map(|(pressure, setpoint, tokens)| {
+            let (pressure, setpoint) = (f64::from(pressure) / 1e3, f64::from(setpoint) / 1e3);
+            let mut text = format!("A {pressure:+08.3} {setpoint:+08.3}");
+            for token in tokens {
+                text.push(' ');
+                text.push_str(token);
+            }
+            (pressure, setpoint, text)
+        })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 96, failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn what_a_unit_writes_is_read((pressure, setpoint, text) in frame()) {
+            let frame = Columns::default().parse(text.as_bytes(), b'A').unwrap();
+            prop_assert_eq!((frame.pressure, frame.setpoint), (pressure, setpoint));
+        }
+
+        #[test]
+        fn nothing_makes_the_parser_panic_or_invent_a_number(bytes in prop::collection::vec(any::<u8>(), 0..80)) {
+            if let Ok(frame) = Columns::default().parse(&bytes, b'A') {
+                prop_assert!(frame.pressure.is_finite() && frame.setpoint.is_finite());
+            }
+            register(&bytes, b'A');
+            let lines: Vec<_> = bytes.split(|&c| c == b'\r').collect();
+            // A list without its columns is none, or refused; it never panics.
+            let _ = Columns::from_manifest(&lines, b'A');
+        }
+
+        #[test]
+        fn text_that_looks_like_a_frame_is_read_to_the_letter_or_not_at_all(text in "A?[ ?+\\-.0-9A-Z]{0,60}") {
+            if let Ok(frame) = Columns::default().parse(text.as_bytes(), b'A') {
+                let mut tokens = text.split_ascii_whitespace();
+                prop_assert_eq!(tokens.next(), Some("A"));
+                prop_assert_eq!(tokens.next().unwrap().parse::<f64>(), Ok(frame.pressure));
+                prop_assert_eq!(tokens.next().unwrap().parse::<f64>(), Ok(frame.setpoint));
+                // Behind the columns there are words only.
+                prop_assert!(tokens.all(|t| t.parse::<f64>().is_err() || !t.starts_with(|c: char| c.is_ascii_digit())));
+            }
+        }
+
+        #[test]
+        fn half_a_frame_is_no_frame((_, _, text) in frame(), share in 0.0..1.0f64) {
+            let cut = &text.as_bytes()[..(text.len() as f64 * share) as usize];
+            if let Ok(read) = Columns::default().parse(cut, b'A') {
+                // Only what is missing of the last number or behind it can go unseen here: the line's CR is missing
+                // too, and without it the line is not read.
+                let whole = Columns::default().parse(text.as_bytes(), b'A').unwrap();
+                prop_assert_eq!(read.pressure, whole.pressure);
+            }
+        }
+
+        #[test]
+        fn a_flipped_high_bit_is_never_read((_, _, text) in frame(), at in any::<prop::sample::Index>()) {
+            let mut bytes = text.into_bytes();
+            let at = at.index(bytes.len());
+            bytes[at] ^= 0x80;
+            prop_assert!(Columns::default().parse(&bytes, b'A').is_err());
+        }
+
+        /// Whatever goes wrong in whatever order: a reading is the answer to its set-point, or says that it is not.
+        #[test]
+        fn an_answer_to_something_else_is_never_passed_off_as_one(
+            script in prop::collection::vec((0usize..6, 1u64..120), 1..12)
+        ) {
+            let bench = Bench::new(1);
+            let mut line = bench.line();
+            let mut unit = bench.connected(&mut line);
+            let kinds = [
+                Misbehaviour::None, Misbehaviour::Garbage, Misbehaviour::Truncated,
+                Misbehaviour::WrongId, Misbehaviour::BitFlip, Misbehaviour::Nak,
+            ];
+            for (i, (kind, late)) in script.into_iter().enumerate() {
+                let how = if late % 3 == 0 { Misbehaviour::Late(ms(late)) } else { kinds[kind] };
+                bench.mischief[0].next(1, how);
+                let setpoint = (i + 1) as f64 * 0.5 * PSI;
+                if let Ok(sample) = bench.drive(unit.on(&mut line).write(setpoint)) {
+                    let taken = (sample.setpoint - setpoint).abs() < 1e-3 * PSI;
+                    let told = RegulatorStatus::REJECTED.with(RegulatorStatus::ECHO_MISMATCH);
+                    prop_assert!(taken || sample.status.intersects(told), "{how:?}: {} psi", sample.setpoint / PSI);
+                }
+            }
+        }
     }
 }

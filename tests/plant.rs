@@ -35,8 +35,15 @@ fn bench(plants: Vec<PlantSim>, seed: u64) -> BenchConfig {
     BenchConfig { seed, plants, imu, dump_valve: true }
 }
 
+/// The plant of `config`, its dump valve closed.
+fn built(config: &BenchConfig) -> Plant {
+    let mut plant = Plant::new(config);
+    plant.set_dump(false, Time::ZERO);
+    plant
+}
+
 fn plant(sim: PlantSim) -> Plant {
-    Plant::new(&bench(vec![sim], 1))
+    built(&bench(vec![sim], 1))
 }
 
 /// Everything a plant says about its FREEs at a time, to the bit.
@@ -60,7 +67,7 @@ fn the_same_bits_come_out_however_the_plant_is_asked() {
     let config = bench(vec![rough, rough], 7);
     let times = [0.9, 1.000_03, 1.7, 2.499_999, 2.5];
     // Everything told at once, in the beginning, and one question in the end.
-    let mut one = Plant::new(&config);
+    let mut one = built(&config);
     one.set_setpoint(0, 5.0 * PSI, at(0.1));
     one.set_setpoint(1, 7.0 * PSI, at(0.3));
     one.inject(PlantFault::Leak(1, 0.4), at(1.2));
@@ -69,7 +76,7 @@ fn the_same_bits_come_out_however_the_plant_is_asked() {
     one.advance_to(at(2.5));
     let one: Vec<_> = times.iter().map(|&t| bits(&mut one, t)).collect();
     // Told when it happens, asked all the time and at odd instants.
-    let mut two = Plant::new(&config);
+    let mut two = built(&config);
     let mut told = 0;
     for i in 0..25_000u32 {
         let t = f64::from(i) * 1e-4;
@@ -201,6 +208,10 @@ fn the_external_moment_turns_the_end() {
 
 #[test]
 fn the_dump_valve_vents_whatever_the_regulator_does() {
+    // Without current it is open.
+    let mut dead = Plant::new(&bench(vec![sim()], 1));
+    dead.set_setpoint(0, 5.0 * PSI, at(0.0));
+    assert_eq!(dead.pressure(0, at(1.0)), 0.0);
     let mut plant = plant(sim());
     plant.set_setpoint(0, 5.0 * PSI, at(0.0));
     plant.inject(PlantFault::Valve(0, Valve::StuckOpen), at(1.0));
@@ -214,7 +225,7 @@ fn the_dump_valve_vents_whatever_the_regulator_does() {
     assert!(plant.pressure(0, at(3.0)) < 0.2 * PSI && full > 10.0 * PSI);
     // One that sticks does nothing, and neither does one that is not fitted.
     for fitted in [true, false] {
-        let mut plant = Plant::new(&BenchConfig { dump_valve: fitted, ..bench(vec![sim()], 1) });
+        let mut plant = built(&BenchConfig { dump_valve: fitted, ..bench(vec![sim()], 1) });
         plant.set_setpoint(0, 5.0 * PSI, at(0.0));
         plant.inject(PlantFault::DumpStuck(true), at(0.0));
         plant.set_dump(true, at(1.0));

@@ -75,6 +75,11 @@ impl AlicatError {
         matches!(self, Self::Line(e) if e.is_dead())
     }
 
+    /// Whether nothing can be heard because somebody does not stop talking.
+    pub const fn is_babble(&self) -> bool {
+        matches!(self, Self::Line(LineError::Babble))
+    }
+
     /// Whether nothing went wrong but a reply that could not be used.
     pub const fn is_out_of_step(&self) -> bool {
         matches!(self, Self::Line(LineError::OutOfStep))
@@ -201,11 +206,25 @@ pub struct Alicat<'l, S> {
 }
 
 impl<S: AsyncRead + AsyncWrite + Unpin> Alicat<'_, S> {
-    /// Commands zero before anything is known about the unit. What it answers, even `?`, does not matter yet.
+    /// Commands zero before anything is known about the unit. What it answers, even `?`, does not matter yet. On
+    /// a line that babbles zero is sent all the same, and the error says that nothing could be heard.
     pub async fn zero_blindly(&mut self) -> Result<(), AlicatError> {
         let command = self.unit.command(&self.unit.setpoint_text(0.0)?);
-        self.line.transact(&command).await?;
-        Ok(())
+        match self.line.transact(&command).await {
+            Ok(_) => Ok(()),
+            Err(error) => {
+                if error == LineError::Babble {
+                    self.line.shout(&command).await?;
+                }
+                Err(error.into())
+            }
+        }
+    }
+
+    /// Sends zero and waits for nothing.
+    pub async fn shout_zero(&mut self) -> Result<(), AlicatError> {
+        let command = self.unit.command(&self.unit.setpoint_text(0.0)?);
+        Ok(self.line.shout(&command).await?)
     }
 
     /// Commands zero, then finds out what the unit's frames hold and where it takes its set-point from.
@@ -285,6 +304,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Alicat<'_, S> {
             return Ok(sample);
         }
         self.line.statistics().echo_mismatches.increment();
+        self.line.doubt();
         Ok(PressureSample { status: sample.status.with(RegulatorStatus::ECHO_MISMATCH), ..sample })
     }
 

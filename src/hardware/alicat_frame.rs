@@ -270,7 +270,7 @@ fn number(token: &str) -> Option<f64> {
     let digits = token.strip_prefix(['+', '-']).unwrap_or(token);
     let (whole, fraction) = digits.split_once('.').unwrap_or((digits, "0"));
     let all_digits = |s: &str| !s.is_empty() && s.bytes().all(|c| c.is_ascii_digit());
-    if all_digits(whole) && all_digits(fraction) { token.parse().ok() } else { None }
+    if all_digits(whole) && all_digits(fraction) { token.parse().ok().filter(|x: &f64| x.is_finite()) } else { None }
 }
 
 /// Value of the last decimal place of a number.

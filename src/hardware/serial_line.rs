@@ -8,7 +8,8 @@
 //! unit's next reply is not used, for it may be the missing one, and its own would follow as much later as its
 //! command was later: so long the line must stay quiet before it is in step. Other units tell their replies from a
 //! late one by its id, the first byte of every command and reply. Replies do not overtake each other; delays up to
-//! `MAX_QUIET` are outlasted.
+//! `MAX_QUIET` are outlasted. What this cannot tell apart, two replies in a row that are late by different times,
+//! shows in the echo of the set-point: [`Line::doubt`] lets the next command wait for what may still be coming.
 
 use std::io;
 use std::pin::{Pin, pin};
@@ -33,8 +34,11 @@ const LATENCY: Duration = Duration::from_millis(25);
 const QUIET: Duration = Duration::from_millis(20);
 /// Longest quiet time.
 const MAX_QUIET: Duration = Duration::from_millis(640);
-/// A line that is not quiet for so long is babbling.
+/// A line that is not quiet for so long, or brings more than [`BUFFER`] bytes that nobody asked for (0.27 s at
+/// 19200 Bd: well below the time in which a vent has to be over), is babbling.
 const BABBLE: Duration = Duration::from_secs(2);
+/// The longest list that is waited for, bytes.
+const LONGEST_LIST: usize = 1024;
 /// Replies longer than this are noise.
 const BUFFER: usize = 512;
 
@@ -110,6 +114,8 @@ pub struct Line<S> {
     owed: [u8; 26],
     /// When the first command that is still unanswered was sent.
     doubt_since: Time,
+    /// The latest reply was not the one to its command.
+    doubted: bool,
     /// Failures since the last reply that was used.
     failures: u32,
     statistics: Arc<LineStatistics>,
@@ -130,6 +136,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
             reply,
             owed: [0; 26],
             doubt_since: last_byte,
+            doubted: false,
             failures: 0,
             statistics,
         }
@@ -162,7 +169,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
             } else if self.buffer.len() > BUFFER {
                 self.resynchronise().await?;
                 return Err(LineError::Babble);
-            } else if !self.receive(deadline).await? {
+            } else if self.receive(deadline).await? == 0 {
                 self.statistics.timeouts.increment();
                 if self.owed.iter().all(|&n| n == 0) {
                     self.doubt_since = sent;
@@ -190,14 +197,13 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
     /// empty if nothing comes.
     pub async fn transact_lines(&mut self, command: &[u8], pause: Duration) -> Result<Vec<Vec<u8>>, LineError> {
         self.send(command).await?;
-        let until = self.clock.now() + BABBLE;
         let first = self.last_byte + self.byte_time * LONGEST_REPLY + LATENCY;
         let mut deadline = first;
-        while self.receive(deadline.min(until)).await? {
+        while self.receive(deadline).await? > 0 {
             deadline = first.max(self.clock.now() + pause);
-        }
-        if self.clock.now() >= until {
-            return Err(LineError::Babble);
+            if self.buffer.len() > LONGEST_LIST {
+                return Err(LineError::Babble);
+            }
         }
         let mut lines: Vec<Vec<u8>> = self.buffer.split(|&c| c == b'\r').map(<[u8]>::to_vec).collect();
         lines.retain(|line| !line.trim_ascii().is_empty());
@@ -214,15 +220,23 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
         self.drain(self.quiet()).await
     }
 
+    /// To be called when a reply made sense, but was not the one to its command: before the next command goes out,
+    /// whatever else is coming is awaited and dropped.
+    pub fn doubt(&mut self) {
+        self.doubted = true;
+    }
+
     /// Reads and drops until nothing has come for `quiet`.
     async fn drain(&mut self, quiet: Duration) -> Result<(), LineError> {
         let until = self.clock.now() + BABBLE;
+        let mut dropped = 0;
         loop {
             self.drop_lines();
-            if !self.receive(self.clock.now() + quiet).await? {
-                return Ok(());
+            match self.receive(self.clock.now() + quiet).await? {
+                0 => return Ok(()),
+                bytes => dropped += bytes,
             }
-            if self.clock.now() > until {
+            if dropped > BUFFER || self.clock.now() > until {
                 return Err(LineError::Babble);
             }
         }
@@ -263,15 +277,29 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
     async fn send(&mut self, command: &[u8]) -> Result<(), LineError> {
         let idle = self.byte_time * 7 / 2;
         let until = self.clock.now() + BABBLE;
+        if std::mem::take(&mut self.doubted) {
+            self.drain(QUIET).await?;
+        }
+        let mut dropped = 0;
         // Whatever comes in the idle time is late; then the idle time begins anew.
-        while self.receive(self.last_byte + idle).await? {
+        loop {
+            match self.receive(self.last_byte + idle).await? {
+                0 => break,
+                bytes => dropped += bytes,
+            }
             self.drop_lines();
-            if self.clock.now() >= until {
+            if dropped > BUFFER || self.clock.now() >= until {
                 return Err(LineError::Babble);
             }
         }
         self.drop_lines();
         self.buffer.clear();
+        self.shout(command).await
+    }
+
+    /// Sends `command` with its CR into whatever is on the line, and waits for nothing: for zero, when a unit
+    /// babbles. The units hear the computer on a wire of its own.
+    pub async fn shout(&mut self, command: &[u8]) -> Result<(), LineError> {
         let mut bytes = Vec::with_capacity(command.len() + 1);
         bytes.extend_from_slice(command);
         bytes.push(b'\r');
@@ -286,8 +314,8 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
         Ok(())
     }
 
-    /// Appends what arrives to the buffer; false if nothing has by `deadline`.
-    async fn receive(&mut self, deadline: Time) -> Result<bool, LineError> {
+    /// Appends what arrives to the buffer, and says how many bytes; none if nothing has come by `deadline`.
+    async fn receive(&mut self, deadline: Time) -> Result<usize, LineError> {
         let mut sleep = pin!(self.clock.sleep_until(deadline));
         let (stream, buffer) = (&mut self.stream, &mut self.buffer);
         let received = poll_fn(|cx| {
@@ -297,14 +325,14 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Line<S> {
                 Poll::Ready(Ok(())) if read.filled().is_empty() => Poll::Ready(Err(LineError::Unplugged)),
                 Poll::Ready(Ok(())) => {
                     buffer.extend_from_slice(read.filled());
-                    Poll::Ready(Ok(true))
+                    Poll::Ready(Ok(read.filled().len()))
                 }
                 Poll::Ready(Err(error)) => Poll::Ready(Err(error.into())),
-                Poll::Pending => sleep.as_mut().poll(cx).map(|()| Ok(false)),
+                Poll::Pending => sleep.as_mut().poll(cx).map(|()| Ok(0)),
             }
         })
         .await?;
-        if received {
+        if received > 0 {
             self.last_byte = self.clock.now();
         }
         Ok(received)

@@ -4,20 +4,25 @@
 //! whose pressure is to be taken away come first. A command that has grown older than the rig's limit counts as
 //! zero. The ladder of recovery: try again (the line drains itself), open the line again, then say
 //! [`RegulatorHealth::Lost`] and keep trying. The first frame a unit hears after any of it is the set-point zero.
+//! A line that babbles is lost as a whole, and zero is sent into the noise. A panic on the way is an error like a
+//! dead line: it is opened again, and zero goes first.
 //!
 //! [`SerialOwner::run`] is one future. Live it has a thread and a runtime of its own ([`super::serial`]); on the
 //! stepped clock a scheduler polls it until it is idle.
 
+use std::any::Any;
 use std::future::Future;
+use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use futures_util::FutureExt;
 use tokio::io::{AsyncRead, AsyncWrite};
 use triple_buffer::{Input, Output};
 
 use super::alicat::{AlicatError, Unit};
-use super::serial_line::{Line, LineStatistics};
+use super::serial_line::{Line, LineError, LineStatistics};
 use super::wiring::SerialWiring;
 use super::{DeviceStatistics, HardwareError};
 use crate::clock::{Clock, Time};
@@ -69,6 +74,8 @@ struct Slot {
 enum End {
     Stopped,
     Dead(AlicatError),
+    /// Nobody can be heard; zero has been sent to everybody.
+    Babble(AlicatError),
     AllLost,
 }
 
@@ -158,7 +165,8 @@ where
                     }
                     let mut line = Line::new(stream, self.clock.clone(), self.baud, self.statistics.line.clone());
                     let since = self.clock.now();
-                    match self.serve(&mut line).await {
+                    let served = AssertUnwindSafe(self.serve(&mut line)).catch_unwind().await;
+                    match served.unwrap_or_else(|panic| End::Dead(LineError::Io(told(&*panic)).into())) {
                         End::Stopped => return,
                         // Unplugged: the next attempt to open it says whether it is there.
                         End::Dead(error) => {
@@ -166,6 +174,10 @@ where
                             if self.clock.now().since(since) > REOPEN_PERIOD {
                                 continue;
                             }
+                            self.lose_all(&error.at(&self.name));
+                        }
+                        End::Babble(error) => {
+                            tracing::warn!("serial line {}: {error}; zero was sent to every unit", self.name);
                             self.lose_all(&error.at(&self.name));
                         }
                         End::AllLost => {}
@@ -214,6 +226,9 @@ where
                 if error.is_dead_line() {
                     return End::Dead(error);
                 }
+                if error.is_babble() {
+                    return self.shout(line, error).await;
+                }
                 self.slots[i].failed(&error, self.clock.now());
             }
         }
@@ -243,6 +258,16 @@ where
             .map(|(i, _)| i)
     }
 
+    /// Sends zero to every unit: one that babbles keeps the others from being heard, not from hearing.
+    async fn shout(&mut self, line: &mut Line<S>, babble: AlicatError) -> End {
+        for slot in &mut self.slots {
+            if let Err(error) = slot.unit.on(line).shout_zero().await {
+                return End::Dead(error);
+            }
+        }
+        End::Babble(babble)
+    }
+
     /// Commands zero once more on the way out.
     async fn leave(&mut self, line: &mut Line<S>) -> End {
         for slot in &mut self.slots {
@@ -265,6 +290,12 @@ where
     fn stopped(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
+}
+
+/// What a panic said.
+fn told(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().copied().or_else(|| panic.downcast_ref::<String>().map(String::as_str));
+    format!("the owner panicked: {}", text.unwrap_or("without a message"))
 }
 
 impl Slot {

@@ -25,7 +25,7 @@ pub trait DumpValve {
 }
 
 /// Drives a dump valve from the tick's command.
-pub struct ValveOwner<V> {
+pub struct ValveOwner<V: DumpValve> {
     valve: V,
     commands: Output<Command>,
     clock: Clock,
@@ -64,14 +64,20 @@ impl<V: DumpValve> ValveOwner<V> {
         }
     }
 
-    /// Cycles until `stop`, and leaves the valve open.
+    /// Cycles until `stop`.
     pub fn run(mut self, stop: &AtomicBool) {
         while !stop.load(Ordering::Acquire) {
             self.cycle();
             self.clock.block_until(self.due);
         }
+    }
+}
+
+/// An owner that ends, even by a panic, leaves the valve open.
+impl<V: DumpValve> Drop for ValveOwner<V> {
+    fn drop(&mut self) {
         if let Err(error) = self.valve.set(true) {
-            tracing::error!(%error, "the dump valve could not be opened on stop");
+            tracing::error!(%error, "the dump valve could not be opened at the end");
         }
     }
 }

@@ -36,6 +36,8 @@ pub(super) struct ImuSeat<I> {
     /// Latest reading that was good, and when a frame last differed from its predecessor.
     last: ImuSample,
     changed: Time,
+    /// Whether it answers, but gives no readings: found reset or stuck, or just back, and being set up.
+    answering: bool,
     /// Whether the latest turn brought the same frame again.
     repeated: bool,
     sequence: u32,
@@ -56,6 +58,7 @@ impl<I: I2c> ImuSeat<I> {
             recovery: Recovery::new(IMU_LOST_AFTER),
             last: ImuSample::default(),
             changed: now,
+            answering: false,
             repeated: false,
             sequence: 0,
         }
@@ -113,6 +116,7 @@ impl<I: I2c> ImuSeat<I> {
                         device: self.statistics.device.clone(),
                         detail: format!("its readings have not changed for {} ms", STUCK_AFTER.as_millis()),
                     });
+                    self.answering = true;
                     self.restart(clock.now());
                 }
             }
@@ -124,6 +128,7 @@ impl<I: I2c> ImuSeat<I> {
             }
             Ok(Reading::Reset) => {
                 self.statistics.resets.increment();
+                self.answering = true;
                 self.restart(clock.now());
             }
             Err(_) => self.climb(clock, open),
@@ -147,10 +152,14 @@ impl<I: I2c> ImuSeat<I> {
             return;
         };
         match driver.advance() {
-            Ok(Progress::Wait(until)) => self.resume = until,
+            Ok(Progress::Wait(until)) => {
+                self.answering = true;
+                self.resume = until;
+            }
             Ok(Progress::Running(identity)) => {
                 self.statistics.note_connected(identity);
                 self.running = true;
+                self.answering = false;
                 self.changed = clock.now();
             }
             Err(error) => {
@@ -162,6 +171,7 @@ impl<I: I2c> ImuSeat<I> {
     }
 
     fn climb(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+        self.answering = false;
         let rung = self.fail(clock.now());
         if matches!(rung, Rung::Reopen | Rung::Lost) {
             match (open(), &mut self.driver) {
@@ -196,12 +206,13 @@ impl<I: I2c> ImuSeat<I> {
         }
     }
 
-    /// Without readings the slot says why, every period: the latest good values under their own time, marked.
+    /// Without readings the slot says why, every period: the latest good values under their own time, marked. Of
+    /// a chip that does not answer it says nothing until that is lost: its silence speaks for itself.
     fn report_absence(&mut self) {
         let health = match self.recovery.is_lost() {
             true => ImuHealth::Lost,
             // Before the first reading there is nothing that could be missed.
-            false if self.last.health == ImuHealth::Absent => return,
+            false if !self.answering || self.last.health == ImuHealth::Absent => return,
             false => ImuHealth::Restarting,
         };
         self.stage(ImuSample { health, ..self.last });

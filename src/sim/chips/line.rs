@@ -25,6 +25,8 @@ const BITS_PER_BYTE: u32 = 10;
 const LATENCY: Duration = Duration::from_micros(150);
 /// A serial adapter hands over what has come in portions of at most so many bytes.
 const PORTION: usize = 32;
+/// How much of a unit's babble waits for somebody to read it.
+const BABBLE_MEMORY: Duration = Duration::from_millis(50);
 /// Longer commands are noise.
 const LONGEST_COMMAND: usize = 64;
 
@@ -58,6 +60,9 @@ pub struct SerialLine {
     pending: VecDeque<Pending>,
     /// What is sent, by the time when it has arrived.
     sending: VecDeque<(Time, Vec<u8>)>,
+    /// Id of a unit that has begun to send random bytes and does not stop.
+    babbler: Option<u8>,
+    listeners: Vec<Arc<Mutex<Vec<Vec<u8>>>>>,
 }
 
 impl SerialLine {
@@ -75,6 +80,8 @@ impl SerialLine {
             spoke_until: Time::ZERO,
             pending: VecDeque::new(),
             sending: VecDeque::new(),
+            babbler: None,
+            listeners: Vec::new(),
         }
     }
 
@@ -101,6 +108,20 @@ impl SerialLine {
         self.sending.clear();
     }
 
+    /// Ends a unit's babble, by power off and on.
+    pub fn hush(&mut self) {
+        if let Some(unit) = self.babbler.take().and_then(|id| self.unit(id)) {
+            unit.power_off();
+        }
+    }
+
+    /// Every complete command that arrives at the units from now on, without its CR; grows until it is emptied.
+    pub fn eavesdrop(&mut self) -> Arc<Mutex<Vec<Vec<u8>>>> {
+        let heard = Arc::<Mutex<Vec<Vec<u8>>>>::default();
+        self.listeners.push(Arc::clone(&heard));
+        heard
+    }
+
     /// Whether it is plugged in.
     pub fn is_plugged(&self) -> bool {
         self.plugged
@@ -121,6 +142,15 @@ impl SerialLine {
                 continue;
             }
             let command = std::mem::take(&mut self.command);
+            for listener in &self.listeners {
+                listener.lock().unwrap_or_else(PoisonError::into_inner).push(command.clone());
+            }
+            // Commands have a wire of their own: a unit that babbles keeps the others from being heard, not from
+            // hearing.
+            if self.babbler.is_some() {
+                self.pending.push_back(Pending { at: self.heard_until + LATENCY, command, collided: false });
+                continue;
+            }
             let collided = self.command_began < self.spoke_until || !self.pending.is_empty();
             let too_soon = self.command_began < self.spoke_until + self.byte_time * 7 / 2;
             if collided || !too_soon || self.spoke_until == Time::ZERO {
@@ -133,7 +163,8 @@ impl SerialLine {
     pub fn next_ready(&self) -> Option<Time> {
         let command = self.pending.front().map(|p| p.at);
         let bytes = self.sending.front().map(|s| s.0);
-        command.into_iter().chain(bytes).min()
+        let babble = self.babbler.map(|_| self.spoke_until);
+        command.into_iter().chain(bytes).chain(babble).min()
     }
 
     /// Takes at most `most` of the bytes that have arrived by `now`.
@@ -159,6 +190,12 @@ impl SerialLine {
                 self.carry_out(pending);
             }
         }
+        while self.babbler.is_some() && self.spoke_until <= now {
+            // What nobody listened to is gone.
+            let at = self.spoke_until.max(now - BABBLE_MEMORY);
+            let noise = self.noise(PORTION / 2);
+            self.send(noise, at, Duration::ZERO);
+        }
     }
 
     fn carry_out(&mut self, Pending { at, command, collided }: Pending) {
@@ -167,6 +204,10 @@ impl SerialLine {
             return self.send(noise, at, Duration::ZERO);
         }
         let Some((&id, rest)) = command.split_first() else { return };
+        let babbler = self.babbler;
+        if babbler == Some(id) {
+            return;
+        }
         // Nobody answers to an id that is not there.
         let Some(seat) = self.seats.iter_mut().find(|s| s.chip.id() == id) else { return };
         let chip = &mut seat.chip;
@@ -183,8 +224,16 @@ impl SerialLine {
                 chip.power_on(at);
                 chip.command(rest, at)
             }
+            Misbehaviour::Babble => {
+                self.babbler = Some(id);
+                self.spoke_until = at;
+                return;
+            }
             _ => chip.command(rest, at),
         };
+        if babbler.is_some() {
+            return;
+        }
         match how {
             // The adapter keeps the reply back: the unit itself has spoken and listens again.
             Misbehaviour::Late(by) => delay = by,

@@ -43,6 +43,8 @@ pub enum Misbehaviour {
     WrongId,
     /// The answer breaks off in the middle (serial; elsewhere as [`Misbehaviour::Garbage`]).
     Truncated,
+    /// Sends random bytes from now on and never stops ([`SerialLine::hush`]; elsewhere as [`Misbehaviour::Garbage`]).
+    Babble,
 }
 
 #[derive(Debug, Default)]
