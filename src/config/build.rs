@@ -47,6 +47,7 @@ fn control(raw: &RawRig) -> ControlConfig {
         period: raw.realtime.period,
         vent_time: raw.safety.vent_time,
         ramp_time: raw.safety.ramp_time,
+        command_timeout: raw.safety.command_timeout,
         require_realtime: raw.realtime.require_realtime,
         dump_valve: raw.backend == Backend::Sim && raw.sim.dump_valve,
         frees: raw.frees.iter().map(|free| free_control(raw, free)).collect(),

@@ -2,7 +2,7 @@
 //!
 //! In every tick: readings -> estimates -> interlocks -> life cycle -> references -> commands -> record. Whatever
 //! comes in, every command is a number within 0..=p_max, and within the slew limit of the one before unless the
-//! rig vents.
+//! rig vents. After a stall in which the bus owners took the pressures away by themselves the one before is zero.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -75,6 +75,7 @@ pub struct Controller {
     period: Duration,
     vent_time: Duration,
     ramp_time: Duration,
+    command_timeout: Duration,
     require_realtime: bool,
     dump_valve: bool,
     channels: Vec<Channel>,
@@ -118,6 +119,7 @@ impl Controller {
             period: config.period,
             vent_time: config.vent_time,
             ramp_time: config.ramp_time,
+            command_timeout: config.command_timeout,
             require_realtime: config.require_realtime,
             dump_valve: config.dump_valve,
             channels,
@@ -182,6 +184,10 @@ impl Controller {
         let gap = self.last.map_or(period, |last| now.seconds_since(last));
         let dt = gap.clamp(0.0, LONGEST_STEP * period);
         let stall = if gap > 1.5 * period { (gap - period).min(STALL_MAX) } else { 0.0 };
+        if self.last.is_some_and(|last| now.since(last) > self.command_timeout) {
+            // The bus owners have commanded zero by themselves: from there it goes on.
+            self.channels.iter_mut().for_each(|channel| channel.command = 0.0);
+        }
         self.last = Some(now);
 
         let rig = self.judge_rig(input);
@@ -197,7 +203,7 @@ impl Controller {
             request: input.request.as_ref(),
             estop: input.estop,
             verdict,
-            complete: self.channels.iter().all(|c| c.interlocks.complete()),
+            complete: self.channels.iter().all(|c| c.interlocks.complete(now)),
             vented: self.vented(),
             against_arming: self.against_arming(input),
             waiting_for,

@@ -127,7 +127,8 @@ impl Estimator {
     }
 
     fn take(&mut self, sample: &ImuSample, now: Time, session: bool) -> Reading {
-        if sample.health == ImuHealth::Absent || sample.sequence == self.estimate.sequence {
+        // A lost sensor's slot repeats its last reading: that is no reading.
+        if matches!(sample.health, ImuHealth::Absent | ImuHealth::Lost) || sample.sequence == self.estimate.sequence {
             return Reading::None;
         }
         self.estimate.sequence = sample.sequence;
@@ -245,7 +246,7 @@ impl TareMean {
             return true;
         }
         self.sequence = sample.sequence;
-        let Some(q) = unit(sample.quaternion) else { return true };
+        let Some(q) = unit(sample.quaternion).filter(|_| sample.health == ImuHealth::Good) else { return true };
         let moving = dot(sample.rate, sample.rate).sqrt();
         if moving.is_nan() || moving > Self::STILL {
             *self = Self { sequence: sample.sequence, ..Self::default() };

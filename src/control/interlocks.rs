@@ -82,11 +82,11 @@ impl Verdict {
 /// Whether a FREE counts as vented.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Vented {
-    /// p < p_zero, or nothing measures the pressure and nothing can be said against it.
+    /// p < p_zero, or nothing measures the pressure and the regulator takes its commands.
     Yes,
     /// p >= p_zero.
     No,
-    /// Should be measured, and there is no fresh reading.
+    /// There is no fresh reading.
     #[default]
     Unknown,
 }
@@ -242,9 +242,9 @@ impl FreeInterlocks {
         }
     }
 
-    /// Whether every device has been heard of.
-    pub fn complete(&self) -> bool {
-        self.pressure.taken.is_some() && (self.imu.is_none() || self.accepted.taken.is_some())
+    /// Whether every device has been heard of, and is still being heard.
+    pub fn complete(&self, now: Time) -> bool {
+        self.pressure_fresh(now) && self.imu_fresh(now)
     }
 
     /// Whether the pressure was below p_zero at the latest tick.
@@ -290,7 +290,8 @@ impl FreeInterlocks {
         }
         self.judge_status(seen, verdict);
         if !self.regulator.measures {
-            self.vented = Vented::Yes;
+            // What it was told last is all that is known of it; when it cannot be told any more, nothing is.
+            self.vented = if stale || !alive { Vented::Unknown } else { Vented::Yes };
             return;
         }
         let p = if sample.health == RegulatorHealth::Good { sample.pressure } else { f64::NAN };

@@ -28,7 +28,7 @@
 //!
 //! | edge | when |
 //! | --- | --- |
-//! | *complete* | every device of every FREE has given a reading |
+//! | *complete* | every device of every FREE gives readings |
 //! | *arm* | requested, and nothing speaks against it: no fault but warnings, files unchanged, rights there |
 //! | *give up* | a fault, or the conditions of arming not met within [`ARMING_TIME`]; the refusal names the first |
 //! | *tared* | all vented, gyros calibrated, at rest, and every tare is the mean of enough readings |
@@ -175,7 +175,7 @@ pub struct Sight<'a> {
     pub estop: bool,
     /// The interlocks' verdict on the rig.
     pub verdict: Verdict,
-    /// Every device has been heard of.
+    /// Every device has been heard of, and is still being heard.
     pub complete: bool,
     /// The least vented FREE.
     pub vented: Vented,

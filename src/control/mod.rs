@@ -127,6 +127,8 @@ pub struct ControlConfig {
     pub vent_time: Duration,
     /// Duration of a ramp-down.
     pub ramp_time: Duration,
+    /// A bus owner that hears nothing from the tick for so long commands zero by itself.
+    pub command_timeout: Duration,
     /// Refuse to arm without real-time rights.
     pub require_realtime: bool,
     /// Whether a dump valve vents the rig where a regulator cannot be reached any more.

@@ -69,6 +69,7 @@ pub fn config(frees: Vec<FreeControl>) -> ControlConfig {
         period: TICK,
         vent_time: Duration::from_millis(1500),
         ramp_time: Duration::from_secs(3),
+        command_timeout: Duration::from_millis(100),
         require_realtime: false,
         dump_valve: false,
         frees,
