@@ -21,7 +21,7 @@ use crate::config::Rig;
 use crate::control::Request;
 use crate::hardware::{I2cOwner, SerialOwner, ValveOwner};
 use crate::record::Recorder;
-use crate::rt::Timing;
+use crate::rt::{Schedule, Timing};
 use crate::signal::TickRecord;
 use crate::sim::chips::SimI2c;
 use crate::sim::{SimDumpValve, SimRig};
@@ -61,9 +61,9 @@ pub struct Stepped {
     serial: Vec<SerialTask>,
     stop: Arc<AtomicBool>,
     tick: Tick,
-    period: Duration,
-    ticks: u64,
-    due: Time,
+    schedule: Schedule,
+    /// How much later than its deadline the next tick wakes up.
+    late: Duration,
     pump: Pump,
     requests: Producer<Request>,
     switches: Arc<Switches>,
@@ -103,7 +103,8 @@ impl Stepped {
         switches.realtime.store(true, Ordering::Relaxed);
         let period = rig.control.period;
         Ok(Self {
-            due: stepper.now() + period,
+            schedule: Schedule::new(stepper.now() + period, period),
+            late: Duration::ZERO,
             stepper,
             sim,
             i2c: turns,
@@ -111,8 +112,6 @@ impl Stepped {
             serial: tasks,
             stop,
             tick,
-            period,
-            ticks: 0,
             pump,
             requests,
             switches,
@@ -129,9 +128,20 @@ impl Stepped {
         &self.switches
     }
 
+    /// Lets the loop's next wake-up come late by `by`, as on a machine that stalls: everybody else goes on, and the
+    /// periods in between are skipped.
+    pub fn wake_late(&mut self, by: Duration) {
+        self.late = by;
+    }
+
+    /// When the loop wakes up next.
+    fn due(&self) -> Time {
+        self.schedule.deadline() + self.late
+    }
+
     fn next_event(&self) -> Time {
         let owners = self.i2c.iter().map(I2cTurn::next).chain(self.valve.iter().map(ValveOwner::next_due));
-        owners.chain(self.stepper.next_timer()).fold(self.due, Time::min)
+        owners.chain(self.stepper.next_timer()).fold(self.due(), Time::min)
     }
 
     fn step(&mut self, now: Time) {
@@ -143,17 +153,18 @@ impl Stepped {
         }
         let mut context = Context::from_waker(Waker::noop());
         self.serial.retain_mut(|task| task.as_mut().poll(&mut context).is_pending());
-        if self.due <= now {
+        if self.due() <= now {
+            let wake = self.schedule.wake(now);
             self.tick.run(&Timing {
-                tick: self.ticks,
-                deadline: self.due,
-                woke: self.due,
-                latency_ns: 0,
+                tick: wake.tick,
+                deadline: wake.deadline,
+                woke: now,
+                latency_ns: u32::try_from(wake.latency.as_nanos()).unwrap_or(u32::MAX),
                 execution_ns: 0,
-                skipped: 0,
+                skipped: wake.skipped,
             });
-            self.ticks += 1;
-            self.due = self.due + self.period;
+            self.schedule.finish(now);
+            self.late = Duration::ZERO;
             self.pump.turn();
         }
     }

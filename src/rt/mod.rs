@@ -30,4 +30,5 @@ mod wakeup;
 pub use histogram::{Histogram, Snapshot};
 pub use periodic::{Error, Handle, Realtime, Statistics, Timing, run, spawn};
 pub use rights::{Refusal, Rights, fifo};
+pub use schedule::{Schedule, Wake};
 pub use wakeup::{Comparison, CyclictestError, Pair, Wakeups, compare, measure, median_ratio};

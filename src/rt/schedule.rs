@@ -6,7 +6,7 @@ use crate::clock::Time;
 
 /// The deadlines `start + n period`, and how many of them were skipped.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Schedule {
+pub struct Schedule {
     start: Time,
     period: Duration,
     next: u64,
@@ -15,7 +15,7 @@ pub(super) struct Schedule {
 
 /// What one wake-up means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Wake {
+pub struct Wake {
     /// Periods from the start to `deadline`.
     pub tick: u64,
     /// The latest deadline that has passed.
