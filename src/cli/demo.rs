@@ -4,7 +4,7 @@
 //! stepped clock, with the gains that the paper's authors published and with freerig's own.
 
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::anyhow;
@@ -20,6 +20,7 @@ use crate::control::margin::{GAIN_MARGIN_MIN, margin};
 use crate::daemon::api::RunResult;
 use crate::daemon::experiment::{self, Attendance, Job};
 use crate::daemon::{Bench, DaemonError, Live, Switches, names, procedure};
+use crate::record::{self, Run};
 use crate::signal::{FaultCode, FaultSet};
 
 /// What is run on the stepped clock: the gains that the paper's authors published, then the rig's own.
@@ -45,7 +46,7 @@ struct Demo {
     machine: Machine,
     /// On the stepped clock: published gains, then own.
     comparisons: Vec<Comparison>,
-    /// The report to look at first.
+    /// One page for all of it.
     report: String,
     elapsed_s: f64,
 }
@@ -88,11 +89,19 @@ pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
     let comparisons =
         EXPERIMENTS.iter().map(|(kind, gains)| compare(&rig, *kind, gains, context)).collect::<Result<Vec<_>, _>>()?;
 
-    let first = real_time.as_ref().or(comparisons.last().map(|c| &c.own));
-    let report = first.map(|run| format!("{}/report.html", run.folder)).unwrap_or_default();
+    let report = overview(&rig, real_time.as_ref(), &comparisons)?.display().to_string();
     let elapsed_s = begun.elapsed().as_secs_f64();
     let demo = Demo { simulated: true, real_time, machine, comparisons, report, elapsed_s };
     if context.json { context.print_json(&demo) } else { context.print(demo.text().trim_end()) }
+}
+
+/// All runs on one page, drawn over each other by experiment, with links to their own reports.
+fn overview(rig: &Rig, real_time: Option<&RunResult>, comparisons: &[Comparison]) -> Result<PathBuf, Failure> {
+    let results = comparisons.iter().flat_map(|c| [&c.own, &c.published]).chain(real_time);
+    let runs = results.map(|run| Run::open(Path::new(&run.folder))).collect::<Result<Vec<_>, _>>()?;
+    let mut page = record::Comparison::of(&runs)?;
+    page.title = "freerig demo".into();
+    Ok(page.write(&rig.record.directory.join("demo.html"))?)
 }
 
 /// The paper's trajectory with the rig's own gains and the daemon's own threads.

@@ -117,8 +117,8 @@ fn moves(free: &FreeMetrics) -> Table {
     for m in &free.moves {
         table.row([
             format!("{:.2} s", m.start_s),
-            format!("{:.1} deg", m.from_rad.to_degrees()),
-            format!("{:.1} deg", m.to_rad.to_degrees()),
+            degrees(m.from_rad),
+            degrees(m.to_rad),
             format!("{:.2} %", m.overshoot_percent),
             m.settling_s.map_or_else(|| "does not".into(), |s| format!("{s:.3} s")),
             degrees(m.steady_error_rad),

@@ -86,6 +86,8 @@ struct Group {
 
 /// Runs beside each other.
 pub struct Comparison {
+    /// What the page is called.
+    pub title: String,
     /// The runs, in the order they were given.
     pub rows: Vec<Row>,
     /// What should be borne in mind.
@@ -126,7 +128,9 @@ impl Comparison {
                 }
             }
         }
-        let mut comparison = Self { rows, remarks, groups: groups.into_iter().map(|(_, group)| group).collect() };
+        let title = format!("{} runs", rows.len());
+        let mut comparison =
+            Self { title, rows, remarks, groups: groups.into_iter().map(|(_, group)| group).collect() };
         comparison.relate();
         Ok(comparison)
     }
@@ -165,7 +169,8 @@ impl Comparison {
             deviations: Vec::new(),
         });
         let groups: Vec<Group> = groups.collect();
-        let mut comparison = Self { rows, remarks, groups };
+        let title = "Two runs beside each other".into();
+        let mut comparison = Self { title, rows, remarks, groups };
         comparison.relate();
         if comparison.deviations().next().is_none() {
             let reason = "they have no angle at the same time since the start of their programs";
@@ -207,9 +212,8 @@ impl Comparison {
 
     /// The page, with links to the runs' reports as seen from the folder `from`.
     fn html(&self, from: Option<&Path>) -> Result<String> {
-        let title = format!("Comparison of {} runs", self.rows.len());
-        let mut page = Page::new(&title);
-        page.raw(&format!("<header><h1>{}</h1><p class=\"badges\">", escape(&title)));
+        let mut page = Page::new(&self.title);
+        page.raw(&format!("<header><h1>{}</h1><p class=\"badges\">", escape(&self.title)));
         if self.rows.iter().any(|r| r.simulated) {
             page.badge("simulated", "SIMULATED");
         }

@@ -158,11 +158,11 @@ fn moves_table(page: &mut Page, metrics: &FreeMetrics) {
     for m in &metrics.moves {
         let settling = m.settling_s.map_or("does not settle".into(), |s| format!("{s:.3} s"));
         page.raw(&format!(
-            "<tr><td>{:.2} s</td><td>{:.1}&deg;</td><td>{:.1}&deg;</td><td>{:.2} % <small>{}</small></td>\
+            "<tr><td>{:.2} s</td><td>{}</td><td>{}</td><td>{:.2} % <small>{}</small></td>\
              <td>{settling}</td><td>{}</td></tr>",
             m.start_s,
-            m.from_rad.to_degrees(),
-            m.to_rad.to_degrees(),
+            degrees(m.from_rad),
+            degrees(m.to_rad),
             m.overshoot_percent,
             degrees(m.overshoot_rad),
             degrees(m.steady_error_rad),

@@ -8,7 +8,7 @@ use std::time::Duration;
 use arrow::array::{AsArray, RecordBatch};
 use arrow::datatypes::{UInt8Type, UInt32Type, UInt64Type};
 use rerun::{
-    Color, LineStrips3D, Mesh3D, RecordingStream, RecordingStreamBuilder, Scalars, SeriesLines, StateChange,
+    Color, LineStrips3D, Mesh3D, Points3D, RecordingStream, RecordingStreamBuilder, Scalars, SeriesLines, StateChange,
     StateConfiguration, TextDocument, TextLog, TextLogLevel, TimeColumn, Transform3D, ViewCoordinates,
 };
 
@@ -218,6 +218,11 @@ impl RerunSink {
         stream.log_static(format!("{entity}/base"), &Transform3D::from_translation([0.0, 0.0, -0.5 * r]))?;
         stream.log_static(format!("{entity}/base"), &mesh(&base, palette::METAL))?;
         stream.log_static(format!("{entity}/tip/cap"), &mesh(&shape::cap(1.15 * r, 0.6 * r), palette::METAL))?;
+        // What the viewer frames when it opens: the FREE with its pointers, not only what stands still.
+        let (wide, low) = (2.0 * r, 0.85 * free.length as f32);
+        let corners = Points3D::new([[-wide, -wide, 0.0], [wide, wide, low]]);
+        let unseen = Color::from_unmultiplied_rgba(0, 0, 0, 0);
+        stream.log_static(format!("{entity}/frame"), &corners.with_radii([1e-6]).with_colors([unseen]))?;
         // Pointers under the cap: the end as it stands, and where it should stand.
         let pointer = |z: f32, length: f32, width: f32, rgb: u32| {
             LineStrips3D::new([vec![[0.0, 0.0, z], [length, 0.0, z]]]).with_radii([width]).with_colors([color(rgb)])
