@@ -272,10 +272,13 @@ impl Comparison {
         if !group.deviations.is_empty() {
             page.raw("<div class=\"cards\">");
             for d in &group.deviations {
-                let value = format!("{} <small>{:.2} %</small>", degrees(d.rms_rad), d.percent_of_range);
-                let name = if group.deviations.len() > 1 { format!(": {}", d.run_b) } else { String::new() };
-                page.card(&format!("RMS deviation{name}"), &value);
-                page.card(&format!("greatest deviation{name}"), &degrees(d.peak_rad));
+                let of = group.members.iter().find(|(i, _)| self.rows[*i].id == d.run_b);
+                let name = match (group.deviations.len(), of) {
+                    (2.., Some((i, _))) => format!("RMS deviation of {}", self.label(group, *i)),
+                    _ => "RMS deviation".into(),
+                };
+                let (rms, peak) = (degrees(d.rms_rad), degrees(d.peak_rad));
+                page.card(&name, &format!("{rms} <small>{:.2} %, at most {peak}</small>", d.percent_of_range));
             }
             page.raw("</div>");
         }
@@ -300,7 +303,9 @@ impl Comparison {
             let same = group.members.iter().filter(|(i, _)| of(&self.rows[*i]) == of(own)).count();
             (same == 1).then(|| of(own))
         };
+        let clock = |row: &Row| if row.stepped { "stepped clock" } else { "real time" };
         unique(&|row| row.gains.clone())
+            .or_else(|| unique(&|row| format!("{}, {}", row.gains, clock(row))))
             .or_else(|| unique(&|row| row.title.clone()))
             .unwrap_or_else(|| own.id.split('-').take(2).collect::<Vec<_>>().join("-"))
     }

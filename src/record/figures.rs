@@ -1,5 +1,7 @@
 //! The figures of a report: which signals of a run go into which plot. Degrees and psi, as on the bench.
 
+use std::collections::BTreeMap;
+
 use super::columns::{column_name, limit_names, state_of};
 use super::document::FaultDocument;
 use super::metrics::ways;
@@ -165,26 +167,22 @@ pub fn repeats(runs: &[Signals]) -> (Plot, Plot) {
     (mean, apart)
 }
 
-/// How many ticks woke up how late, and took how long.
+/// How many ticks woke up how late, and took how long; on a logarithmic scale, so that a stall is seen beside the rest.
 pub fn latency(run: &Run) -> Result<Bars> {
-    const BINS: usize = 60;
+    const PER_DECADE: f64 = 16.0;
     let table = run.table(&["latency_ns".into(), "execution_ns".into()])?;
-    let micros = |name: &str| table.get(name).iter().map(|v| v * 1e-3).collect::<Vec<_>>();
+    // A time that was not measured is none.
+    let micros = |name: &str| table.get(name).iter().map(|v| v * 1e-3).filter(|v| *v > 0.0).collect::<Vec<_>>();
     let (latency, execution) = (micros("latency_ns"), micros("execution_ns"));
-    // To the 99.9th percentile; the last bar takes all that is later.
-    let mut sorted = [latency.clone(), execution.clone()].concat();
-    sorted.sort_by(f64::total_cmp);
-    let most = sorted.get(sorted.len() * 999 / 1000).copied().unwrap_or(1.0).max(1e-3);
-    let edge = |i: usize| most * i as f64 / BINS as f64;
+    let bin = |v: &f64| (v.log10() * PER_DECADE).floor() as i32;
+    let edge = |bin: i32| 10f64.powf(f64::from(bin) / PER_DECADE);
     let bars = |values: &[f64]| {
-        let mut counts = vec![0u64; BINS];
-        for v in values {
-            counts[((v / most * BINS as f64) as usize).min(BINS - 1)] += 1;
-        }
-        counts.into_iter().enumerate().map(|(i, n)| (edge(i), edge(i + 1), n)).collect::<Vec<_>>()
+        let mut counts = BTreeMap::<i32, u64>::new();
+        values.iter().for_each(|v| *counts.entry(bin(v)).or_default() += 1);
+        counts.into_iter().map(|(i, n)| (edge(i), edge(i + 1), n)).collect::<Vec<_>>()
     };
     Ok(Bars {
-        x_label: "time [us]; the last bar counts all that is later".into(),
+        x_label: "time [us]".into(),
         height: 240,
         series: vec![
             ("from the deadline to the wake-up".into(), palette::BLUE, bars(&latency)),

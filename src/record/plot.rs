@@ -158,7 +158,7 @@ impl Plot {
 /// One bar: from, to, count.
 pub type Bar = (f64, f64, u64);
 
-/// Bars from zero, side by side, with a logarithmic height.
+/// Bars from zero, one series before the other, both axes logarithmic.
 #[derive(Clone, Debug, Default)]
 pub struct Bars {
     /// Quantity and unit of the horizontal axis.
@@ -177,7 +177,7 @@ impl Bars {
     pub fn svg(&self) -> Result<String> {
         let bars = || self.series.iter().flat_map(|s| &s.2);
         let edges: Vec<f64> = bars().flat_map(|b| [b.0, b.1]).collect();
-        let x = span(edges.iter(), 0.0);
+        let x = if edges.is_empty() { 1.0..1000.0 } else { span(edges.iter(), 0.0) };
         let most = bars().map(|b| b.2).max().unwrap_or(1).max(1) as f64;
         let mut svg = String::new();
         {
@@ -188,7 +188,7 @@ impl Bars {
                 .margin_right(16)
                 .x_label_area_size(38)
                 .y_label_area_size(LEFT)
-                .build_cartesian_2d(Axis::new(x), (0.7..most * 1.5).log_scale())
+                .build_cartesian_2d(x.log_scale(), (0.7..most * 1.5).log_scale())
                 .map_err(plot_error)?;
             chart
                 .configure_mesh()
@@ -196,6 +196,7 @@ impl Bars {
                 .bold_line_style(GRID)
                 .axis_style(AXIS)
                 .label_style((FONT, 13).into_font().color(&TEXT))
+                .x_label_formatter(&|v| format!("{v}"))
                 .y_label_formatter(&|v| format!("{v}"))
                 .x_desc(self.x_label.as_str())
                 .y_desc("ticks")
