@@ -23,11 +23,16 @@
 //!   `allow_hyphen_values = true`.
 //! - Exit status: 0 done, 1 failed, 2 bad usage or configuration, 3 a fault of the rig ([`Exit`]).
 
+mod arm;
 mod attend;
+mod clear;
 mod compare;
 mod config;
+mod control;
 mod demo;
+mod disarm;
 mod doctor;
+mod estop;
 mod experiment;
 mod export;
 mod failure;
@@ -36,9 +41,13 @@ mod log;
 mod outcome;
 mod progress;
 mod report;
+mod run;
 mod runs;
+mod set;
 mod simulate;
+mod status;
 mod table;
+mod vent;
 
 use std::fmt::Display;
 use std::io::{self, Write};
@@ -84,6 +93,22 @@ struct Cli {
 enum Command {
     /// The whole job on the simulated rig, no daemon needed
     Demo(demo::Args),
+    /// The daemon, in the foreground
+    Run(run::Args),
+    /// Where the rig stands
+    Status(status::Args),
+    /// Self-test, vent check, tare; the pressures may then be anything within the limits
+    Arm(arm::Args),
+    /// Take the pressures down and disarm
+    Disarm(disarm::Args),
+    /// Emergency stop: vent at once
+    Estop(estop::Args),
+    /// Check the causes of latched faults again and clear them
+    Clear(clear::Args),
+    /// Without a daemon: command zero on every path and verify
+    Vent(vent::Args),
+    /// Set one pressure or angle by hand
+    Set(set::Args),
     /// Steps of the angle; by default the paper's: 50, 20, 80 deg
     Step(experiment::Args),
     /// The angle along a course; by default the paper's: 40, 10, 70 deg
@@ -112,6 +137,14 @@ impl Command {
     fn run(self, context: &Context) -> Result<(), Failure> {
         match self {
             Command::Demo(args) => demo::run(args, context),
+            Command::Run(args) => run::run(args, context),
+            Command::Status(args) => status::run(args, context),
+            Command::Arm(args) => arm::run(args, context),
+            Command::Disarm(args) => disarm::run(args, context),
+            Command::Estop(args) => estop::run(args, context),
+            Command::Clear(args) => clear::run(args, context),
+            Command::Vent(args) => vent::run(args, context),
+            Command::Set(args) => set::run(args, context),
             Command::Step(args) => experiment::run(Kind::Step, args, context),
             Command::Trajectory(args) => experiment::run(Kind::Trajectory, args, context),
             Command::Sweep(args) => experiment::run(Kind::Sweep, args, context),

@@ -11,7 +11,7 @@ use super::calibration::Calibration;
 use super::problem::{ConfigError, Problem};
 use super::reader::{Section, Source};
 use super::rig::Rig;
-use super::sections::read_rig;
+use super::sections::{read_rig, read_socket};
 
 /// A file as it was when the rig was built from it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -93,20 +93,29 @@ fn names(directory: &Path) -> Vec<String> {
     names
 }
 
+fn read_description(path: &Path) -> Result<SourceFile, ConfigError> {
+    SourceFile::read(path).map_err(|error| ConfigError {
+        problems: vec![Problem {
+            file: path.to_owned(),
+            line: None,
+            key: String::new(),
+            value: String::new(),
+            rule: format!("cannot read the rig's description: {error}"),
+            remedy: "name it with `--rig FILE`, or run where a rig.toml is".into(),
+        }],
+    })
+}
+
+/// The folder that relative paths of the rig's description start from.
+fn base(path: &Path) -> PathBuf {
+    path.parent().unwrap_or(Path::new("")).to_owned()
+}
+
 impl Rig {
     /// Reads `path` and everything that it refers to, or says everything that is wrong with them.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let file = SourceFile::read(path).map_err(|error| ConfigError {
-            problems: vec![Problem {
-                file: path.to_owned(),
-                line: None,
-                key: String::new(),
-                value: String::new(),
-                rule: format!("cannot read the rig's description: {error}"),
-                remedy: "name it with `--rig FILE`, or run where a rig.toml is".into(),
-            }],
-        })?;
-        let base = path.parent().unwrap_or(Path::new("")).to_owned();
+        let file = read_description(path)?;
+        let base = base(path);
         let mut files = Files::default();
         let source = Source::new(&file.path, &file.text);
         let raw = source.parse().map(|table| read_rig(Section::root(&source, &table), &base, &mut files));
@@ -119,6 +128,21 @@ impl Rig {
             }
             _ => Err(ConfigError { problems }),
         }
+    }
+
+    /// Where the control socket of the rig described in `path` is, whatever else is wrong with the file: who wants
+    /// to stop a running rig is not to be kept from it by a mistake in a file.
+    ///
+    /// # Errors
+    /// Where the file cannot be read, or is no TOML.
+    pub fn socket_path(path: &Path) -> Result<PathBuf, ConfigError> {
+        let file = read_description(path)?;
+        let source = Source::new(&file.path, &file.text);
+        let socket = source.parse().map(|table| {
+            let mut root = Section::root(&source, &table);
+            read_socket(root.section("socket"), &base(path)).path
+        });
+        socket.ok_or_else(|| ConfigError { problems: source.into_problems() })
     }
 
     /// Files that now say something else than when the rig was built from them.

@@ -119,7 +119,8 @@ fn read_record(mut section: Section<'_>) -> RecordConfig {
     record
 }
 
-fn read_socket(mut section: Section<'_>, base: &Path) -> SocketConfig {
+/// Reads the section of the control socket; `base` is the directory of rig.toml.
+pub(super) fn read_socket(mut section: Section<'_>, base: &Path) -> SocketConfig {
     let path = base.join(section.path("path", "runs/control.sock"));
     if path.as_os_str().len() > SOCKET_PATH_MAX {
         let rule = format!("a socket's path has at most {SOCKET_PATH_MAX} bytes, this one {}", path.as_os_str().len());

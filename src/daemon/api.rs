@@ -25,6 +25,8 @@ use crate::signal::FaultCode;
 pub struct Status {
     /// Version of the daemon.
     pub version: String,
+    /// Name of the rig.
+    pub rig: String,
     /// Whether the devices are simulated.
     pub simulated: bool,
     /// State of the life cycle, by its stable name ([`crate::signal::State::name`]).
@@ -40,6 +42,8 @@ pub struct Status {
     pub tick: LoopStatus,
     /// The run in progress.
     pub run: Option<Run>,
+    /// Where the live view is to be seen; `null` where there is none.
+    pub live_view: Option<String>,
 }
 
 impl Status {
@@ -93,6 +97,8 @@ pub struct FreeStatus {
     pub pressure_pa: Option<f64>,
     /// Commanded pressure, Pa.
     pub command_pa: f64,
+    /// Whether the command is zero and a fresh reading says that the pressure is gone; `null` where it is not measured.
+    pub vented: Option<bool>,
     /// Reference of the angle, rad; `null` where the angle is not controlled.
     pub reference_rad: Option<f64>,
     /// Reference of the pressure, Pa; `null` where the pressure is not asked for.

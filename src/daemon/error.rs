@@ -1,9 +1,12 @@
 //! Why the rig did not do what was asked.
 
+use std::path::PathBuf;
+
 use thiserror::Error;
 
+use super::api::{Problem, ProblemKind};
 use crate::control::fault;
-use crate::signal::{FaultSet, Refusal};
+use crate::signal::{FaultCode, FaultSet, Refusal};
 
 /// What can go wrong between a request and its end.
 #[derive(Debug, Error)]
@@ -32,6 +35,15 @@ pub enum DaemonError {
         /// State it is in.
         state: &'static str,
     },
+    /// Somebody else ended it.
+    #[error("{0}")]
+    Interrupted(&'static str),
+    /// The pressures could not be seen to be gone.
+    #[error("the vent is not verified: {0}")]
+    NotVented(String),
+    /// Another process owns the rig.
+    #[error("another freerig owns this rig: it holds {}", .0.display())]
+    Owned(PathBuf),
     /// The loop has ended.
     #[error("the control loop has ended: {0}")]
     LoopEnded(String),
@@ -84,13 +96,23 @@ impl DaemonError {
                 None => refusal.code.remedy().into(),
             },
             DaemonError::Fault(faults) => {
-                let remedies: Vec<_> = faults.iter().map(|f| fault::row(f).remedy).collect();
-                format!("{} Then `freerig clear`.", remedies.join(" "))
+                let mut remedies: Vec<_> = faults.iter().map(|f| fault::row(f).remedy).collect();
+                if !remedies.iter().any(|remedy| remedy.contains("freerig clear")) {
+                    remedies.push("Then `freerig clear`.");
+                }
+                remedies.join(" ")
             }
             DaemonError::Margin(_) => {
                 "Choose gains with a margin on this rig, a shorter period, or accept it: --accept-margin.".into()
             }
             DaemonError::Timeout { .. } => "`freerig status` says what the rig waits for.".into(),
+            DaemonError::Interrupted(_) => "`freerig status` shows where the rig stands.".into(),
+            DaemonError::NotVented(_) => fault::row(FaultCode::VentFailed).remedy.into(),
+            DaemonError::Owned(_) => {
+                "If it is the daemon: `freerig status` shows what it does, `freerig estop` vents at once, `freerig disarm` \
+                 takes the pressures down. Stop it before another one takes the rig."
+                    .into()
+            }
             DaemonError::LoopEnded(_) => "Restart the daemon; its log says why the loop ended.".into(),
             DaemonError::Busy => "Try again in a moment.".into(),
             DaemonError::Unfit(_) => "Check the experiment's FREE and quantities against rig.toml.".into(),
@@ -104,7 +126,24 @@ impl DaemonError {
 
     /// Whether it is a fault of the rig (exit status 3).
     pub fn is_rig_fault(&self) -> bool {
-        matches!(self, DaemonError::Fault(_))
+        matches!(self, DaemonError::Fault(_) | DaemonError::NotVented(_))
             || matches!(self, DaemonError::Refused { refusal, .. } if refusal.fault.is_some())
+    }
+}
+
+impl From<&DaemonError> for Problem {
+    fn from(error: &DaemonError) -> Self {
+        let kind = match error {
+            _ if error.is_rig_fault() => ProblemKind::Fault,
+            DaemonError::Refused { .. }
+            | DaemonError::Margin(_)
+            | DaemonError::Timeout { .. }
+            | DaemonError::Interrupted(_)
+            | DaemonError::Unfit(_)
+            | DaemonError::Owned(_) => ProblemKind::Refused,
+            DaemonError::Busy => ProblemKind::Busy,
+            _ => ProblemKind::Failed,
+        };
+        Problem::new(kind, error.to_string(), error.remedy())
     }
 }

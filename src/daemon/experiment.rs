@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use super::error::DaemonError;
@@ -11,10 +12,10 @@ use crate::config::Rig;
 use crate::config::experiment::{Experiment, Kind};
 use crate::control::{Gains, Request};
 use crate::record::{
-    Backend, RealtimeDocument, RecordOptions, Recorder, Repetition, Run, RunKind, RunResult, StartDocument,
+    Backend, LiveFeed, RealtimeDocument, RecordOptions, Recorder, Repetition, Run, RunKind, RunResult, StartDocument,
     StopDocument, sha256, write_report,
 };
-use crate::signal::{FaultSet, FreeTick, Quantity, State, TickRecord};
+use crate::signal::{FaultCode, FaultSet, FreeTick, Quantity, RequestKind, State, TickRecord};
 use crate::trajectory::{Axis, Program, Segment, Sequence, Shape};
 
 /// Beyond the ramp and vent times, how long a fault's reaction is recorded.
@@ -58,6 +59,10 @@ pub struct Job {
     pub stepped: bool,
     /// Take the pressures down after each run; by hand they stay.
     pub and_back: bool,
+    /// Where the live view is fed, if it is to show the runs.
+    pub live: Option<LiveFeed>,
+    /// Set by whoever stops the job: no further program is started. The one under way is the stopper's to end.
+    pub stop: Arc<AtomicBool>,
 }
 
 impl Job {
@@ -80,7 +85,13 @@ impl Job {
             accept_margin: false,
             stepped: false,
             and_back: true,
+            live: None,
+            stop: Arc::default(),
         }
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Acquire)
     }
 }
 
@@ -129,7 +140,7 @@ pub fn run<B: Bench>(
         let run = once(bench, rig, job, repeat, repetition, watch)?;
         let done = run.stop().is_some_and(|s| s.result == RunResult::Done);
         runs.push(run);
-        if !done {
+        if !done || job.is_stopped() {
             break;
         }
     }
@@ -158,7 +169,7 @@ fn once<B: Bench>(
     repetition: Option<Repetition>,
     watch: &mut dyn FnMut(&Progress<'_>),
 ) -> Result<Run, DaemonError> {
-    let options = RecordOptions { truth: rig.is_simulated(), ..RecordOptions::default() };
+    let options = RecordOptions { truth: rig.is_simulated(), live: job.live.clone(), ..RecordOptions::default() };
     let recorder = Recorder::create(&rig.record.directory, document(bench, rig, job, repetition), options)?;
     let (id, folder) = (recorder.id().to_owned(), recorder.folder().to_owned());
     let mut tell = |phase, duration, record: &TickRecord| {
@@ -178,6 +189,10 @@ fn once<B: Bench>(
     let (result, message) = match &result {
         Ok(RunResult::Done) => (RunResult::Done, String::new()),
         Ok(result) => (*result, "stopped before its end".into()),
+        // Who ends the program takes the pressures away by the emergency stop.
+        Err(DaemonError::Fault(faults)) if job.is_stopped() && *faults == FaultSet::only(FaultCode::EmergencyStop) => {
+            (RunResult::Aborted, "stopped before its end".into())
+        }
         Err(error) => {
             let result = if error.is_rig_fault() { RunResult::Fault } else { RunResult::Failed };
             (result, format!("{error}. {}", error.remedy()))
@@ -185,7 +200,7 @@ fn once<B: Bench>(
     };
     let recorder = recorder?.ok_or_else(|| DaemonError::Unfit("another procedure took the recording away".into()))?;
     let run = recorder.finish(StopDocument { result, message, lost_records, ..StopDocument::default() })?;
-    if result == RunResult::Done && job.and_back {
+    if result == RunResult::Done && job.and_back && !job.is_stopped() {
         let back = Arc::new(back_to_zero(&bench.latest(), rig)?);
         drive(bench, rig, &back, job.attendance, &mut |record| {
             tell("taking the pressures down", back.duration, record);
@@ -204,7 +219,7 @@ fn drive<B: Bench>(
     watch: &mut dyn FnMut(&TickRecord),
 ) -> Result<RunResult, DaemonError> {
     let attended = attendance != Attendance::Detached;
-    let mut refusals = Refusals::new(bench);
+    let mut refusals = Refusals::of(bench, RequestKind::Start);
     if attendance == Attendance::Here {
         bench.heartbeat();
     }

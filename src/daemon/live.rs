@@ -13,16 +13,18 @@ use super::tick::Switches;
 use super::{Bench, DaemonError, Pump};
 use crate::clock::{Clock, Time};
 use crate::config::Rig;
-use crate::control::Request;
+use crate::control::{FreeControl, Request};
 use crate::hardware::{DeviceStatistics, I2cOwner, SerialOwner, ValveOwner, i2c, serial};
 use crate::record::Recorder;
 use crate::rt;
-use crate::signal::TickRecord;
+use crate::signal::{FreeTick, RegulatorHealth, TickRecord};
 use crate::sim::SimRig;
 use crate::sim::chips::Pty;
 
 /// How often the pump takes what waits in the rings.
 const PUMP_PERIOD: Duration = Duration::from_millis(20);
+/// A reading older than this verifies no vent; six units on the slowest line take a third of it.
+const FRESH: Duration = Duration::from_secs(1);
 /// Bus owners stand this far below the tick on the FIFO scale.
 const BELOW_THE_TICK: u8 = 10;
 
@@ -184,8 +186,13 @@ impl Live {
     }
 
     /// The loop's books.
-    pub fn statistics(&self) -> &rt::Statistics {
-        &self.bench.statistics
+    pub fn statistics(&self) -> Arc<rt::Statistics> {
+        Arc::clone(&self.bench.statistics)
+    }
+
+    /// The switches that the tick reads.
+    pub fn switches(&self) -> Arc<Switches> {
+        Arc::clone(&self.bench.switches)
     }
 
     /// The loop's rights; none once it has ended.
@@ -256,12 +263,18 @@ impl Drop for Live {
     }
 }
 
-/// Whether every FREE that measures its pressure is below p_zero and every command is zero.
+/// Whether every FREE is vented, as far as it is measured.
 pub fn is_vented(record: &TickRecord, rig: &Rig) -> bool {
-    record.free_count > 0
-        && record.frees().iter().zip(&rig.control.frees).all(|(tick, free)| {
-            tick.command == 0.0 && (!free.regulator.measures || tick.pressure.pressure < free.limits.pressure_zero)
-        })
+    let mut frees = record.frees().iter().zip(&rig.control.frees);
+    record.free_count > 0 && frees.all(|(tick, free)| is_free_vented(record.time, tick, free))
+}
+
+/// Whether the command is zero at the time `now` and, where the pressure is measured, a reading below p_zero that is
+/// no older than a second says so.
+pub fn is_free_vented(now: Time, tick: &FreeTick, free: &FreeControl) -> bool {
+    let reading = &tick.pressure;
+    let fresh = reading.health == RegulatorHealth::Good && now.since(reading.time) <= FRESH;
+    tick.command == 0.0 && (!free.regulator.measures || (fresh && reading.pressure < free.limits.pressure_zero))
 }
 
 fn note(devices: &mut [FreeDevices], free: usize, set: impl FnOnce(&mut FreeDevices)) {

@@ -6,7 +6,7 @@ use super::error::DaemonError;
 use super::{Bench, Change, margin};
 use crate::config::Rig;
 use crate::control::Request;
-use crate::signal::{Refusal, State, TickRecord};
+use crate::signal::{Refusal, RequestKind, State, TickRecord};
 
 /// How often a procedure looks at the rig.
 pub const LOOK: Duration = Duration::from_millis(20);
@@ -20,20 +20,24 @@ const SETTLING: Duration = Duration::from_secs(3);
 /// Hears what the tick refuses from its making on.
 pub struct Refusals {
     heard: u64,
+    kind: RequestKind,
 }
 
 impl Refusals {
-    /// Everything refused so far is somebody else's affair.
-    pub fn new<B: Bench>(bench: &mut B) -> Self {
-        Self { heard: bench.with_pump(|p| p.changes_so_far()) }
+    /// Those of requests of one kind, and those that no request of the same tick has brought about (an arming that
+    /// is given up). Everything refused so far is somebody else's affair, and so are other requests.
+    pub fn of<B: Bench>(bench: &mut B, kind: RequestKind) -> Self {
+        Self { heard: bench.with_pump(|p| p.changes_so_far()), kind }
     }
 
     /// The next refusal.
     pub fn next<B: Bench>(&mut self, bench: &mut B) -> Option<Refusal> {
-        let heard = &mut self.heard;
+        let Self { heard, kind } = self;
         bench.with_pump(|p| {
-            p.changes(heard).find_map(|(_, change)| match change {
-                Change::Refused(refusal) => Some(refusal),
+            p.changes(heard).find_map(|(record, change)| match change {
+                Change::Refused(refusal) if record.request == *kind || record.request == RequestKind::None => {
+                    Some(refusal)
+                }
                 _ => None,
             })
         })
@@ -55,9 +59,19 @@ pub fn arm<B: Bench>(bench: &mut B, rig: &Rig, accept_margin: bool) -> Result<()
         margin::check(&rig.control)?;
     }
     // The devices are set up while the rig boots.
-    reach(bench, rig, BOOT, "disarmed", |r| r.state != State::Boot)?;
+    let mut refusals = Refusals::of(bench, RequestKind::Arm);
+    reach(bench, rig, BOOT, "disarmed", &mut refusals, |r| r.state != State::Boot)?;
     bench.request(Request::Arm)?;
-    reach(bench, rig, ARMING, "hold", |r| r.state.is_armed())
+    let mut arming = false;
+    reach(bench, rig, ARMING, "hold", &mut refusals, |r| {
+        let given_up = arming && matches!(r.state, State::Disarmed | State::RampDown);
+        arming |= r.state == State::Arming;
+        r.state.is_armed() || given_up
+    })?;
+    match bench.latest().state {
+        state if state.is_armed() => Ok(()),
+        _ => Err(DaemonError::Interrupted("disarmed while it was arming")),
+    }
 }
 
 /// Takes the pressures down and waits until the rig is disarmed.
@@ -65,9 +79,10 @@ pub fn arm<B: Bench>(bench: &mut B, rig: &Rig, accept_margin: bool) -> Result<()
 /// # Errors
 /// A fault on the way, or the time.
 pub fn disarm<B: Bench>(bench: &mut B, rig: &Rig) -> Result<(), DaemonError> {
+    let mut refusals = Refusals::of(bench, RequestKind::Disarm);
     bench.request(Request::Disarm)?;
     let longest = rig.control.ramp_time + rig.control.vent_time + SETTLING;
-    reach(bench, rig, longest, "disarmed", |r| r.state == State::Disarmed)
+    reach(bench, rig, longest, "disarmed", &mut refusals, |r| r.state == State::Disarmed)
 }
 
 /// Clears the latched faults and waits until the rig is disarmed.
@@ -75,7 +90,7 @@ pub fn disarm<B: Bench>(bench: &mut B, rig: &Rig) -> Result<(), DaemonError> {
 /// # Errors
 /// The refusal that names the fault whose condition still holds, or the time.
 pub fn clear<B: Bench>(bench: &mut B, rig: &Rig) -> Result<(), DaemonError> {
-    let mut refusals = Refusals::new(bench);
+    let mut refusals = Refusals::of(bench, RequestKind::Clear);
     bench.request(Request::Clear)?;
     let end = bench.now() + SETTLING;
     while bench.now() < end {
@@ -103,10 +118,10 @@ pub fn reach<B: Bench>(
     rig: &Rig,
     longest: Duration,
     wanted: &'static str,
-    fits: impl Fn(&TickRecord) -> bool,
+    refusals: &mut Refusals,
+    mut fits: impl FnMut(&TickRecord) -> bool,
 ) -> Result<(), DaemonError> {
     let end = bench.now() + longest;
-    let mut refusals = Refusals::new(bench);
     loop {
         bench.pass(LOOK)?;
         if let Some(refusal) = refusals.next(bench) {

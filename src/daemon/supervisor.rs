@@ -1,0 +1,459 @@
+//! The supervisor: owns the running rig, answers what the socket asks, tells what happens, and ends it safely.
+//!
+//! It looks at the rig every [`LOOK`] and never waits for anything: what takes its time (arming, clearing, a run)
+//! is [`Work`] in a thread of its own, one at a time, and whoever asks for more meanwhile is told so. Stopping and
+//! disarming need no turn; the emergency stop does not even need the supervisor.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
+use tokio::time::{MissedTickBehavior, interval, timeout};
+
+use super::api::{self, Event, Happening, Problem, ProblemKind, Response, Start};
+use super::experiment::{Attendance, Job};
+use super::news::News;
+use super::status::status;
+use super::work::{Answer, Report, Work, carry_out};
+use super::{Bench, DaemonError, Desk, Live, LiveBench, Switches, byhand, is_free_vented, names, notify, procedure};
+use crate::clock::Time;
+use crate::config::Rig;
+use crate::config::experiment::Experiment;
+use crate::control::Request;
+use crate::record::LiveView;
+use crate::signal::{State, TickRecord};
+use crate::units::Pressure;
+
+/// How often the supervisor looks at the rig.
+const LOOK: Duration = Duration::from_millis(50);
+/// How often the status is published where nothing happens.
+const STATUS_PERIOD: Duration = Duration::from_millis(100);
+/// How often the configuration files are compared with what was loaded.
+const FILES_PERIOD: Duration = Duration::from_secs(1);
+/// Beyond the vent time, how long a stop waits for the pressures and for the record's end.
+const LEAVING: Duration = Duration::from_secs(10);
+
+/// The supervisor of one rig.
+pub struct Supervisor {
+    rig: Arc<Rig>,
+    live: Live,
+    bench: LiveBench,
+    view: Option<LiveView>,
+    desk: Desk,
+    begun: Time,
+    published: Time,
+    news: News,
+    work: Option<Work>,
+    run: Option<api::Run>,
+    reports: mpsc::UnboundedSender<Report>,
+    reported: mpsc::UnboundedReceiver<Report>,
+    told: String,
+}
+
+impl Supervisor {
+    /// Starts the rig, disarmed and vented; `view` shows its runs.
+    ///
+    /// # Errors
+    /// As [`Live::start`].
+    pub fn start(rig: Rig, desk: Desk, view: Option<LiveView>) -> Result<Self, DaemonError> {
+        let switches =
+            Switches { estop: Arc::clone(&desk.estop), heartbeat: Arc::clone(&desk.heartbeat), ..Switches::default() };
+        let live = Live::start(&rig, switches)?;
+        let bench = live.bench();
+        let (reports, reported) = mpsc::unbounded_channel();
+        let begun = bench.now();
+        Ok(Self {
+            rig: Arc::new(rig),
+            live,
+            bench,
+            view,
+            desk,
+            begun,
+            published: Time::ZERO,
+            news: News::new(),
+            work: None,
+            run: None,
+            reports,
+            reported,
+            told: String::new(),
+        })
+    }
+
+    /// The running rig.
+    pub fn live(&self) -> &Live {
+        &self.live
+    }
+
+    /// Serves until `stop`, then stops what runs, commands zero, verifies the vent, and releases the devices.
+    ///
+    /// # Errors
+    /// [`DaemonError::NotVented`], or the loop's own end.
+    pub async fn serve(mut self, stop: impl Future<Output = ()>) -> Result<(), DaemonError> {
+        let files = watch_files(Arc::clone(&self.rig), self.live.switches());
+        let watchdog = notify::Watchdog::start(self.live.statistics());
+        let mut look = interval(LOOK);
+        look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut stop = std::pin::pin!(stop);
+        let ended = loop {
+            tokio::select! {
+                biased;
+                () = &mut stop => break Ok(()),
+                Some((request, answer)) = self.desk.requests.recv() => self.take(request, answer),
+                Some(report) = self.reported.recv() => self.hear(report),
+                _ = look.tick() => {
+                    self.turn();
+                    if !self.live.is_running() {
+                        break Err(DaemonError::LoopEnded("its thread is gone".into()));
+                    }
+                }
+            }
+        };
+        files.abort();
+        notify::stopping();
+        let left = self.leave().await;
+        drop(watchdog);
+        left.and(ended)
+    }
+
+    /// One look at the rig.
+    fn turn(&mut self) {
+        let quiet = !self.listen();
+        if self.work.as_ref().is_some_and(Work::is_over) && self.reported.is_empty() {
+            self.ended(Err(DaemonError::Interrupted("the daemon's own thread has failed")));
+        }
+        if !quiet || self.bench.now().since(self.published) >= STATUS_PERIOD {
+            self.publish();
+        }
+    }
+
+    /// Tells what the loop has done since the last time; whether there was anything.
+    fn listen(&mut self) -> bool {
+        let happenings = self.news.turn(&mut self.bench, &self.rig);
+        let any = !happenings.is_empty();
+        for what in happenings {
+            self.tell(what);
+        }
+        any
+    }
+
+    fn publish(&mut self) {
+        let record = self.bench.latest();
+        let mut status = status(&self.rig, &self.live, &record);
+        status.uptime_s = self.bench.now().seconds_since(self.begun);
+        status.faults = self.news.faults(&self.rig);
+        status.run = self.run.clone();
+        status.live_view = self.view.as_ref().map(LiveView::url);
+        self.published = self.bench.now();
+        let told = self.in_a_line(&record);
+        if told != self.told {
+            notify::status(&told);
+            self.told = told;
+        }
+        self.desk.status.send_replace(status);
+    }
+
+    /// What `systemctl status` shows.
+    fn in_a_line(&self, record: &TickRecord) -> String {
+        let mut line = String::from(if self.rig.is_simulated() { "SIMULATED, " } else { "" });
+        line += record.state.name();
+        if !record.latched.is_empty() {
+            line += &format!(": {}", names(record.latched));
+        }
+        if let Some(run) = &self.run {
+            line += &format!(", {} ({})", run.id, run.phase);
+        }
+        line
+    }
+
+    /// Logs what happened and sends it to whoever listens.
+    fn tell(&self, what: Happening) {
+        match &what {
+            Happening::State { from, to } => tracing::info!("{from} -> {to}"),
+            Happening::Fault(f) if !f.active && !f.latched => tracing::info!("{}: no longer", f.name),
+            Happening::Fault(f) => {
+                let about = f.free.as_ref().map(|free| format!(" ({free})")).unwrap_or_default();
+                match f.latched {
+                    true => tracing::error!("fault {}{about}, latched: {}", f.name, f.remedy),
+                    false => tracing::warn!("{}{about}: {}", f.name, f.remedy),
+                }
+            }
+            Happening::RunStarted(run) => tracing::info!("run {} has begun: {}", run.id, run.name),
+            Happening::RunFinished(run) => {
+                tracing::info!(
+                    "run {}: {}{}",
+                    run.id,
+                    run.outcome,
+                    run.reason.as_ref().map_or(String::new(), |r| format!(": {r}"))
+                );
+            }
+            Happening::Warning { text, remedy } => tracing::warn!("{text}: {remedy}"),
+            Happening::Missed { .. } => {}
+        }
+        // Nobody listening is no error.
+        let _ = self.desk.events.send(Event::now(what));
+    }
+
+    /// What work reports.
+    fn hear(&mut self, report: Report) {
+        self.listen();
+        match report {
+            Report::Running(run) => {
+                let news = self.run.as_ref().is_none_or(|before| before.id != run.id);
+                let phase = self.run.as_ref().is_none_or(|before| before.phase != run.phase);
+                self.run = Some(run.clone());
+                // Published before it is answered, so that the client's first heartbeat finds it.
+                if phase || news {
+                    self.publish();
+                }
+                if news {
+                    self.tell(Happening::RunStarted(run.clone()));
+                }
+                if let Some(answer) = self.work.as_mut().and_then(|work| work.answer.take()) {
+                    let message = format!("{} has begun", run.id);
+                    let _ = answer.send(Ok(Response { message, run: Some(run) }));
+                }
+            }
+            Report::Finished(result) => self.tell(Happening::RunFinished(result)),
+            Report::Ended(ended) => self.ended(ended),
+        }
+    }
+
+    fn ended(&mut self, ended: Result<String, DaemonError>) {
+        self.run = None;
+        if let (Err(error), Some(work)) = (&ended, &self.work) {
+            tracing::warn!("{}: {error}", work.what);
+        }
+        let ended = ended.map(Response::done).map_err(|error| self.explain(&error));
+        self.publish();
+        if let Some(answer) = self.work.take().and_then(|work| work.answer) {
+            // A client that did not wait for it can look at the status.
+            let _ = answer.send(ended);
+        }
+    }
+
+    /// The problem of an error; a rig that does not leave Boot says which device it waits for.
+    fn explain(&mut self, error: &DaemonError) -> Problem {
+        let mut problem = Problem::from(error);
+        if let DaemonError::Timeout { state: "boot", .. } = error {
+            let status = status(&self.rig, &self.live, &self.bench.latest());
+            let silent = status.frees.iter().flat_map(|free| free.imu.iter().chain([&free.regulator]));
+            for device in silent.filter(|device| matches!(device.health.as_str(), "absent" | "lost")) {
+                let why = device.last_error.as_deref().unwrap_or("no answer yet");
+                problem.error += &format!("\n  {}: {why}", device.device);
+            }
+        }
+        problem
+    }
+
+    /// What the socket asks.
+    fn take(&mut self, request: api::Request, answer: Answer) {
+        let refused = match request {
+            api::Request::Arm(arm) => match self.bench.latest().state {
+                state if state.is_armed() => Ok(Response::done("the rig is armed already")),
+                _ => {
+                    return self.procedure("arming", answer, move |bench, rig| {
+                        procedure::arm(bench, rig, arm.accept_margin).map(|()| "armed".into())
+                    });
+                }
+            },
+            api::Request::Clear => match self.bench.latest() {
+                latest if latest.latched.is_empty() => Ok(Response::done("no fault is latched")),
+                latest => {
+                    // Only a stop that has been seen is taken back.
+                    if latest.state == State::Faulted && self.work.is_none() {
+                        self.desk.estop.store(false, Ordering::Release);
+                    }
+                    return self.procedure("clearing", answer, |bench, rig| {
+                        procedure::clear(bench, rig).map(|()| "cleared; the rig is disarmed".into())
+                    });
+                }
+            },
+            api::Request::Disarm => return self.disarm(answer),
+            api::Request::Stop => self.stop(),
+            api::Request::Set(set) => match byhand::job(&set, &self.rig, &self.bench.latest()) {
+                Ok(job) => return self.job(job, answer),
+                Err(problem) => Err(problem),
+            },
+            api::Request::Start(start) => match self.prepare(&start) {
+                Ok(job) => return self.job(job, answer),
+                Err(problem) => Err(problem),
+            },
+        };
+        let _ = answer.send(refused);
+    }
+
+    fn busy(&self) -> Result<(), Problem> {
+        match &self.work {
+            None => Ok(()),
+            Some(work) => Err(Problem::new(
+                ProblemKind::Busy,
+                format!("the rig is busy: {}", work.what),
+                "wait for it (`freerig status --watch`), or end it: `freerig disarm` takes the pressures down",
+            )),
+        }
+    }
+
+    /// Starts a procedure, if nothing else is under way.
+    fn procedure(
+        &mut self,
+        what: &str,
+        answer: Answer,
+        body: impl FnOnce(&mut LiveBench, &Rig) -> Result<String, DaemonError> + Send + 'static,
+    ) {
+        if let Err(problem) = self.busy() {
+            let _ = answer.send(Err(problem));
+            return;
+        }
+        let (mut bench, rig) = (self.bench.clone(), Arc::clone(&self.rig));
+        let body = move |_: &_| body(&mut bench, &rig);
+        self.work = Some(Work::start(what.into(), answer, Arc::default(), self.reports.clone(), body));
+    }
+
+    /// Starts a job, if the rig is armed and nothing else is under way.
+    fn job(&mut self, mut job: Job, answer: Answer) {
+        if let Err(problem) = self.busy().and_then(|()| armed(&self.bench.latest())) {
+            let _ = answer.send(Err(problem));
+            return;
+        }
+        job.live = self.view.as_ref().map(LiveView::feed);
+        let (bench, rig, stop) = (self.bench.clone(), Arc::clone(&self.rig), Arc::clone(&job.stop));
+        let what = format!("{} {}", job.kind.name(), job.title);
+        let body = move |reports: &_| carry_out(bench, &rig, &job, reports);
+        self.work = Some(Work::start(what, answer, stop, self.reports.clone(), body));
+    }
+
+    /// The job that `start` asks for.
+    fn prepare(&self, start: &Start) -> Result<Job, Problem> {
+        let path = Path::new(start.source.as_deref().unwrap_or("experiment.toml"));
+        let experiment = Experiment::parse(path, &start.experiment, &self.rig, start.free.as_deref())
+            .map_err(|error| Problem::new(ProblemKind::Usage, error.to_string(), "correct the experiment's file"))?;
+        if experiment.kind.name() != start.kind {
+            let error = format!("{} is a {}, not a {}", path.display(), experiment.kind.name(), start.kind);
+            return Err(Problem::new(ProblemKind::Usage, error, format!("`freerig {}`", experiment.kind.name())));
+        }
+        let attendance = if start.detach { Attendance::Detached } else { Attendance::Remote };
+        let mut job = Job { accept_margin: start.accept_margin, ..Job::new(experiment, attendance) };
+        job.repeats = start.repeat.unwrap_or(job.repeats).max(1);
+        job.note = start.note.clone().unwrap_or(job.note);
+        Ok(job)
+    }
+
+    /// Takes the pressures down, whatever is under way.
+    fn disarm(&mut self, answer: Answer) {
+        if let Some(work) = &self.work {
+            work.stop();
+        }
+        let (mut bench, rig) = (self.bench.clone(), Arc::clone(&self.rig));
+        tokio::task::spawn_blocking(move || {
+            let done = procedure::disarm(&mut bench, &rig);
+            let done = done.map(|()| Response::done("disarmed; the pressures are down"));
+            let _ = answer.send(done.map_err(|error| Problem::from(&error)));
+        });
+    }
+
+    /// Ends the run under way; the pressures hold.
+    fn stop(&mut self) -> Result<Response, Problem> {
+        let Some(work) = self.work.as_ref().filter(|_| self.run.is_some()) else {
+            let remedy = "`freerig disarm` takes the pressures down";
+            return Err(Problem::new(ProblemKind::Refused, "no experiment is running", remedy));
+        };
+        work.stop();
+        if self.bench.latest().state.is_armed() {
+            self.bench.request(Request::Stop).map_err(|error| Problem::from(&error))?;
+        }
+        Ok(Response::done("stopped; the pressures hold"))
+    }
+
+    /// Stops what runs, commands zero at once, verifies, releases.
+    async fn leave(mut self) -> Result<(), DaemonError> {
+        if let Some(work) = &self.work {
+            work.stop();
+        }
+        // The loop's own way to zero that needs nobody's turn.
+        self.desk.estop.store(true, Ordering::Release);
+        tracing::info!("stopping: pressures to zero, then the vent is verified");
+        self.answer_the_rest();
+        if let Some(work) = self.work.take() {
+            let patience = self.rig.control.vent_time + LEAVING;
+            if timeout(patience, work.over()).await.is_err() {
+                tracing::warn!("the run's record could not be ended in time; it is incomplete");
+            }
+        }
+        while let Ok(report) = self.reported.try_recv() {
+            if let Report::Finished(result) = report {
+                self.tell(Happening::RunFinished(result));
+            }
+        }
+        let Self { rig, live, mut bench, .. } = self;
+        let rig_here = Arc::clone(&rig);
+        let stopped = tokio::task::spawn_blocking(move || live.stop(&rig_here)).await;
+        let stopped = stopped.unwrap_or_else(|panic| Err(DaemonError::LoopEnded(panic.to_string())));
+        let vented = match &stopped {
+            Ok(vented) => *vented,
+            Err(error) => {
+                tracing::error!("{error}");
+                false
+            }
+        };
+        match vented {
+            true => {
+                tracing::info!("vented and verified");
+                Ok(())
+            }
+            false => Err(DaemonError::NotVented(unvented(&bench.latest(), &rig))),
+        }
+    }
+
+    /// Requests that came too late.
+    fn answer_the_rest(&mut self) {
+        self.desk.requests.close();
+        while let Ok((_, answer)) = self.desk.requests.try_recv() {
+            let problem = Problem::new(ProblemKind::Refused, "the daemon is stopping", "start it again");
+            let _ = answer.send(Err(problem));
+        }
+    }
+}
+
+/// Whether a program may start.
+fn armed(record: &TickRecord) -> Result<(), Problem> {
+    let refused = |error: &str, remedy: &str| Err(Problem::new(ProblemKind::Refused, error, remedy));
+    match record.state {
+        State::Hold => Ok(()),
+        State::Disarmed => refused("the rig is not armed", "`freerig arm`, then try again"),
+        State::Faulting | State::Faulted => Err(Problem::from(&DaemonError::Fault(record.latched))),
+        state => refused(
+            &format!("the rig is not ready: it stands in {}", state.name()),
+            "`freerig status` shows what it does; try again when it holds",
+        ),
+    }
+}
+
+/// What is not vented, in words.
+pub(super) fn unvented(record: &TickRecord, rig: &Rig) -> String {
+    let frees = record.frees().iter().zip(&rig.control.frees);
+    let full = frees.filter(|(tick, free)| !is_free_vented(record.time, tick, free));
+    let full: Vec<_> = full
+        .map(|(tick, free)| match tick.pressure.pressure {
+            p if p.is_finite() => format!("{} was last seen at {:.2}", free.name, Pressure::pascals(p)),
+            _ => format!("the pressure of {} is not known", free.name),
+        })
+        .collect();
+    if full.is_empty() { "no reading verifies it".into() } else { full.join(", ") }
+}
+
+/// Tells the tick whether a configuration file differs from what was loaded.
+fn watch_files(rig: Arc<Rig>, switches: Arc<Switches>) -> JoinHandle<()> {
+    tokio::spawn(async move {
+        let mut look = interval(FILES_PERIOD);
+        look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            look.tick().await;
+            let here = Arc::clone(&rig);
+            let changed = tokio::task::spawn_blocking(move || !here.changed_files().is_empty()).await;
+            switches.config_changed.store(changed.unwrap_or(false), Ordering::Relaxed);
+        }
+    })
+}

@@ -1,0 +1,405 @@
+//! The daemon in real time, as its users meet it: the program itself, its commands, its socket, its signals.
+//!
+//! Nothing here is about time: every wait is generous, and the loop runs at 100 Hz. A machine that stalls for as long
+//! as a device may be silent makes the rig fault all the same, as it must; such an attempt is made again.
+
+use std::fs::File;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use freerig::config::Rig;
+use freerig::daemon::api::{Arm, Happening, ProblemKind, RunResult, Start, Status};
+use freerig::daemon::client::{Client, ClientError};
+use freerig::daemon::{Bench, Live, RigLock, Switches, procedure};
+use freerig::record::{RRD_NAME, Run};
+use freerig::signal::State;
+use tempfile::TempDir;
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_freerig");
+/// Far beyond anything that is waited for here.
+const LONG: Duration = Duration::from_secs(60);
+/// Attempts on a machine that stalls.
+const ATTEMPTS: usize = 4;
+/// Faults that a stalled machine brings about.
+const STALLS: [&str; 5] = ["pressure_stale", "imu_stale", "imu_implausible", "deadline", "pressure_not_following"];
+
+/// A long experiment that asks for little.
+const HOLD: &str = "kind = \"sweep\"\npressures_psi = [2]\nmove_s = 0.5\nhold_s = 30\nand_back = false\n";
+
+/// A rig of its own in a folder of its own.
+struct Place {
+    folder: TempDir,
+}
+
+impl Place {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let text = std::fs::read_to_string(here.join("rig.toml")).unwrap();
+        let text = text.replace("rate_hz = 500", "rate_hz = 100").replace("live_view = true", "live_view = false");
+        std::fs::write(folder.path().join("rig.toml"), text).unwrap();
+        std::fs::create_dir(folder.path().join("calibration")).unwrap();
+        std::fs::copy(here.join("calibration/paper.toml"), folder.path().join("calibration/paper.toml")).unwrap();
+        Self { folder }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn rig(&self) -> Rig {
+        let mut rig = Rig::load(&self.path("rig.toml")).unwrap();
+        rig.record.directory = self.path("runs");
+        rig
+    }
+
+    fn client(&self) -> Client {
+        Client::new(&self.path("runs/control.sock"))
+    }
+
+    fn log(&self) -> String {
+        std::fs::read_to_string(self.path("log")).unwrap_or_default()
+    }
+
+    /// One command to its end.
+    fn command(&self, arguments: &[&str]) -> Output {
+        Command::new(PROGRAM).args(arguments).current_dir(self.folder.path()).stdin(Stdio::null()).output().unwrap()
+    }
+
+    /// A command that must end with `status`; what it printed on both.
+    #[track_caller]
+    fn expect(&self, arguments: &[&str], status: i32) -> String {
+        let output = self.command(arguments);
+        let text = [output.stdout, output.stderr].concat();
+        let text = String::from_utf8(text).unwrap();
+        assert_eq!(output.status.code(), Some(status), "{arguments:?}: {text}\n{}", self.log());
+        text
+    }
+
+    #[track_caller]
+    fn status(&self) -> Status {
+        let output = self.command(&["status", "--json"]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap()
+    }
+
+    /// Waits for a status.
+    #[track_caller]
+    fn until(&self, what: &str, wanted: impl Fn(&Status) -> bool) -> Status {
+        let end = Instant::now() + LONG;
+        loop {
+            let status = self.status();
+            if wanted(&status) {
+                return status;
+            }
+            assert!(Instant::now() < end, "not {what}: {status:?}\n{}", self.log());
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// Starts the daemon and waits until the rig is disarmed.
+    fn daemon(&self) -> Daemon {
+        let log = File::options().create(true).append(true).open(self.path("log")).unwrap();
+        let mut command = Command::new(PROGRAM);
+        command.arg("run").current_dir(self.folder.path()).stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
+        let mut daemon = Daemon(command.spawn().unwrap());
+        let end = Instant::now() + LONG;
+        while self.command(&["status"]).status.code() != Some(0) {
+            assert_eq!(daemon.0.try_wait().unwrap(), None, "{}", self.log());
+            assert!(Instant::now() < end, "{}", self.log());
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        self.until("disarmed", |status| status.state == "disarmed");
+        daemon
+    }
+}
+
+/// A running daemon; killed where a test fails.
+struct Daemon(Child);
+
+impl Daemon {
+    fn signal(&self, name: &str) {
+        let killed = Command::new("kill").args([name, &self.0.id().to_string()]).status().unwrap();
+        assert!(killed.success());
+    }
+
+    /// Waits for its end; its exit status, none after a kill.
+    fn ended(&mut self) -> Option<i32> {
+        let end = Instant::now() + LONG;
+        loop {
+            if let Some(status) = self.0.try_wait().unwrap() {
+                return status.code();
+            }
+            assert!(Instant::now() < end, "the daemon has not ended");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        self.0.kill().ok();
+        self.0.wait().ok();
+    }
+}
+
+/// One rig at a time: two cores are few.
+fn alone() -> MutexGuard<'static, ()> {
+    static ONE: Mutex<()> = Mutex::new(());
+    ONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Runs `scenario`; again where it failed because the machine stood still and the rig faulted.
+fn attempt(scenario: impl Fn(&Place)) {
+    let _alone = alone();
+    for left in (0..ATTEMPTS).rev() {
+        let place = Place::new();
+        let Err(panic) = catch_unwind(AssertUnwindSafe(|| scenario(&place))) else { return };
+        let log = place.log();
+        let stalled = STALLS.iter().any(|fault| log.contains(&format!("fault {fault}")));
+        if left == 0 || !stalled {
+            resume_unwind(panic);
+        }
+        eprintln!("the machine stalled; once more. The daemon's log:\n{log}");
+    }
+}
+
+fn runtime() -> tokio::runtime::Runtime {
+    tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap()
+}
+
+fn start(detach: bool) -> Start {
+    Start { kind: "sweep".into(), experiment: HOLD.into(), detach, ..Start::default() }
+}
+
+#[test]
+fn the_commands_take_a_rig_through_its_day() {
+    attempt(|place| {
+        let mut daemon = place.daemon();
+        let text = place.expect(&["status"], 0);
+        for part in ["disarmed", "SIMULATED", "paper", "BNO055", "Alicat"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        assert!(place.expect(&["set", "pressure", "1psi"], 1).contains("not armed"));
+        place.expect(&["arm", "--accept-margin"], 0);
+        let text = place.expect(&["set", "pressure", "2psi", "--free", "paper"], 0);
+        assert!(text.contains("SIMULATED paper") && text.contains("commanded 2.00 psi"), "{text}");
+        assert!(place.expect(&["set", "pressure", "40psi"], 2).contains("0 to 10.00 psi"));
+        assert!(place.expect(&["set", "pressure", "1psi", "--free", "other"], 2).contains("this rig has: paper"));
+        let status = place.status();
+        assert_eq!((status.state.as_str(), status.run), ("hold", None));
+        assert_eq!(status.frees[0].vented, Some(false));
+        place.expect(&["disarm"], 0);
+        assert_eq!(place.status().frees[0].vented, Some(true));
+
+        place.expect(&["arm", "--accept-margin"], 0);
+        place.expect(&["set", "pressure", "2psi"], 0);
+        assert!(place.expect(&["estop"], 0).contains("vented: paper at"));
+        assert!(place.expect(&["arm"], 3).contains("emergency_stop"));
+        assert!(place.expect(&["status"], 0).contains("fault, latched: emergency_stop"));
+        place.expect(&["clear"], 0);
+        place.expect(&["arm", "--accept-margin"], 0);
+
+        daemon.signal("-USR1");
+        place.until("faulted", |status| status.state == "faulted" && status.faults[0].name == "emergency_stop");
+        place.expect(&["clear"], 0);
+        place.expect(&["arm", "--accept-margin"], 0);
+        place.expect(&["set", "pressure", "2psi"], 0);
+        daemon.signal("-TERM");
+        assert_eq!(daemon.ended(), Some(0), "{}", place.log());
+        assert!(place.log().contains("stopped: vented and verified"), "{}", place.log());
+        assert!(!place.path("runs/control.sock").exists() && !place.path("runs/control.sock.estop").exists());
+        for run in Run::list(&place.path("runs")).unwrap() {
+            assert_eq!(run.unwrap().result_name(), "done");
+        }
+    });
+}
+
+#[test]
+fn a_rig_has_one_owner() {
+    attempt(|place| {
+        let _daemon = place.daemon();
+        for command in ["run", "vent"] {
+            let text = place.expect(&[command], 1);
+            assert!(text.contains("another freerig owns this rig") && text.contains("freerig estop"), "{text}");
+        }
+        assert_eq!(place.status().state, "disarmed", "the owner was not disturbed");
+    });
+}
+
+#[test]
+fn without_a_daemon_vent_vents_and_the_commands_say_what_is_missing() {
+    attempt(|place| {
+        let text = place.expect(&["vent"], 0);
+        assert!(text.contains("SIMULATED") && text.contains("paper: vented"), "{text}");
+        let output = place.command(&["vent", "--json"]);
+        let value: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!((&value["vented"], &value["simulated"]), (&true.into(), &true.into()), "{value}");
+        for command in ["status", "arm", "disarm", "clear", "estop"] {
+            let text = place.expect(&[command], 1);
+            assert!(text.contains("no freerig daemon runs here") && text.contains("freerig run"), "{text}");
+        }
+    });
+}
+
+#[test]
+fn bad_usage_and_bad_configuration_have_status_2_and_start_nothing() {
+    let place = Place::new();
+    place.expect(&["set", "pressure", "3"], 2);
+    place.expect(&["status", "--rig", "nowhere.toml"], 2);
+    let text = std::fs::read_to_string(place.path("rig.toml")).unwrap();
+    let text = text.replace("vent_time_s = 1.5", "vent_time_s = -1").replace("seed = 1", "sead = 1");
+    std::fs::write(place.path("rig.toml"), text).unwrap();
+    for command in ["run", "vent"] {
+        let text = place.expect(&[command], 2);
+        assert!(text.contains("vent_time_s") && text.contains("sead") && text.contains("remedy"), "{text}");
+    }
+    assert!(!place.path("runs/control.sock.lock").exists());
+    // Who wants to stop a running rig is not kept from it by a mistake in a file.
+    assert!(place.expect(&["estop"], 1).contains("no freerig daemon runs here"));
+}
+
+#[test]
+fn an_attended_run_ends_with_its_client_and_a_detached_one_does_not() {
+    attempt(|place| {
+        let _daemon = place.daemon();
+        place.expect(&["arm", "--accept-margin"], 0);
+        let client = place.client();
+        let run = runtime().block_on(client.start(&start(true))).unwrap().run.unwrap();
+        assert!(!run.attended);
+        // Nobody says anything for longer than a client may be silent.
+        let status = place.until("further", |status| status.run.as_ref().is_some_and(|run| run.elapsed_s > 2.5));
+        assert_eq!(status.state, "track");
+        place.expect(&["disarm"], 0);
+        place.until("over", |status| status.run.is_none());
+        assert_eq!(Run::open(&place.path(&run.folder)).unwrap().result_name(), "aborted");
+
+        place.expect(&["arm", "--accept-margin"], 0);
+        let run = runtime().block_on(async {
+            let run = client.start(&start(false)).await.unwrap().run.unwrap();
+            assert!(run.attended);
+            let end = Instant::now() + Duration::from_secs(3);
+            while Instant::now() < end {
+                client.heartbeat(&run.id).await.unwrap();
+                tokio::time::sleep(Duration::from_millis(100)).await;
+            }
+            run
+        });
+        assert_eq!(place.status().state, "track", "a client that is heard keeps it going");
+        let status = place.until("faulted", |status| status.state == "faulted");
+        assert_eq!(status.faults[0].name, "client_lost");
+        assert_eq!(status.frees[0].command_pa, 0.0);
+        place.until("over", |status| status.run.is_none());
+        let run = Run::open(&place.path(&run.folder)).unwrap();
+        assert_eq!(run.result_name(), "fault");
+        assert!(run.stop().unwrap().message.contains("client_lost"), "{:?}", run.stop());
+    });
+}
+
+#[test]
+fn one_thing_at_a_time_and_a_stop_at_any_time() {
+    attempt(|place| {
+        let _daemon = place.daemon();
+        let client = place.client();
+        let runtime = runtime();
+        let refused = |result: Result<_, ClientError>| match result {
+            Err(ClientError::Problem(problem)) => problem,
+            other => panic!("{other:?}"),
+        };
+        let problem = refused(runtime.block_on(client.start(&start(true))));
+        assert_eq!((problem.kind, problem.error.as_str()), (ProblemKind::Refused, "the rig is not armed"));
+        assert_eq!(refused(runtime.block_on(client.stop())).error, "no experiment is running");
+        let nonsense = Start { experiment: "kind = \"sweep\"\npressures_psi = [99]\nsped = 1".into(), ..start(true) };
+        let problem = refused(runtime.block_on(client.start(&nonsense)));
+        assert!(problem.error.contains("99") && problem.error.contains("sped"), "{problem:?}");
+        assert_eq!(Run::list(&place.path("runs")).unwrap().len(), 0, "what is refused leaves no run");
+
+        runtime.block_on(client.arm(Arm { accept_margin: true })).unwrap();
+        let finished: RunResult = runtime.block_on(async {
+            let mut events = client.events().await.unwrap();
+            let run = client.start(&start(true)).await.unwrap().run.unwrap();
+            assert_eq!(client.status().await.unwrap().run.unwrap().id, run.id);
+            let problem = refused(client.start(&start(true)).await);
+            assert_eq!(problem.kind, ProblemKind::Busy, "{problem:?}");
+            client.stop().await.unwrap();
+            let mut begun = false;
+            loop {
+                match events.next().await.unwrap().unwrap().what {
+                    Happening::RunStarted(started) => begun = started.id == run.id,
+                    Happening::RunFinished(result) if result.id == run.id => {
+                        assert!(begun);
+                        return result;
+                    }
+                    _ => {}
+                }
+            }
+        });
+        assert_eq!(finished.outcome, "aborted");
+        assert_eq!(place.until("over", |status| status.run.is_none()).state, "hold", "the pressures hold");
+        runtime.block_on(client.start(&start(true))).unwrap();
+        place.expect(&["estop"], 0);
+        place.until("over", |status| status.run.is_none() && status.state == "faulted");
+    });
+}
+
+#[test]
+fn a_killed_daemon_leaves_a_readable_run_and_the_next_one_starts_disarmed_and_vented() {
+    attempt(|place| {
+        let mut daemon = place.daemon();
+        place.expect(&["arm", "--accept-margin"], 0);
+        let run = runtime().block_on(place.client().start(&start(true))).unwrap().run.unwrap();
+        place.until("further", |status| status.run.as_ref().is_some_and(|run| run.elapsed_s > 1.5));
+        daemon.signal("-KILL");
+        assert_eq!(daemon.ended(), None);
+
+        let folder = place.path(&run.folder);
+        let killed = Run::open(&folder).unwrap();
+        assert_eq!((killed.result_name(), killed.is_complete()), ("incomplete", false));
+        let (last, _) = killed.records().unwrap().last().unwrap();
+        let last = last.program_time;
+        assert!(last > 1.0, "{last} s of 1.5 s are there");
+        assert!(std::fs::metadata(folder.join(RRD_NAME)).unwrap().len() > 10_000);
+
+        let daemon = place.daemon();
+        let status = place.until("vented", |status| status.frees[0].vented == Some(true));
+        assert_eq!((status.state.as_str(), status.faults.len(), status.run), ("disarmed", 0, None));
+        drop(daemon);
+        let runs = Run::list(&place.path("runs")).unwrap();
+        assert_eq!(runs.len(), 1, "nothing is lost, nothing is made up");
+    });
+}
+
+#[test]
+fn a_changed_file_is_a_warning_and_refuses_to_arm() {
+    attempt(|place| {
+        let _daemon = place.daemon();
+        let before = std::fs::read_to_string(place.path("rig.toml")).unwrap();
+        std::fs::write(place.path("rig.toml"), before.clone() + "\n# changed\n").unwrap();
+        let warned = |status: &Status| status.faults.iter().any(|fault| fault.name == "config_changed");
+        let status = place.until("warned", warned);
+        assert!(!status.is_faulted());
+        let text = place.expect(&["arm", "--accept-margin"], 1);
+        assert!(text.contains("a configuration file differs"), "{text}");
+        std::fs::write(place.path("rig.toml"), before).unwrap();
+        place.until("calm", |status| !warned(status));
+        place.expect(&["arm", "--accept-margin"], 0);
+    });
+}
+
+#[test]
+fn a_live_rig_boots_arms_disarms_and_stops_vented() {
+    attempt(|place| {
+        let rig = place.rig();
+        let _owner = RigLock::take(&rig.socket.path, Duration::ZERO).unwrap();
+        let live = Live::start(&rig, Switches::default()).unwrap();
+        let mut bench = live.bench();
+        procedure::arm(&mut bench, &rig, true).unwrap();
+        assert_eq!(bench.latest().state, State::Hold);
+        procedure::disarm(&mut bench, &rig).unwrap();
+        assert_eq!(bench.latest().state, State::Disarmed);
+        assert!(live.stop(&rig).unwrap(), "vented");
+    });
+}
