@@ -4,6 +4,7 @@
 //! as a device may be silent makes the rig fault all the same, as it must; such an attempt is made again.
 
 use std::fs::File;
+use std::os::unix::net::UnixDatagram;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -100,19 +101,31 @@ impl Place {
         }
     }
 
+    /// Changes rig.toml.
+    fn rewrite(&self, change: impl Fn(String) -> String) {
+        let path = self.path("rig.toml");
+        std::fs::write(&path, change(std::fs::read_to_string(&path).unwrap())).unwrap();
+    }
+
     /// Starts the daemon and waits until the rig is disarmed.
     fn daemon(&self) -> Daemon {
+        let daemon = self.booting(&[]);
+        self.until("disarmed", |status| status.state == "disarmed");
+        daemon
+    }
+
+    /// Starts the daemon with some environment and waits until it answers.
+    fn booting(&self, environment: &[(&str, &str)]) -> Daemon {
         let log = File::options().create(true).append(true).open(self.path("log")).unwrap();
         let mut command = Command::new(PROGRAM);
         command.arg("run").current_dir(self.folder.path()).stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
-        let mut daemon = Daemon(command.spawn().unwrap());
+        let mut daemon = Daemon(command.envs(environment.iter().copied()).spawn().unwrap());
         let end = Instant::now() + LONG;
         while self.command(&["status"]).status.code() != Some(0) {
             assert_eq!(daemon.0.try_wait().unwrap(), None, "{}", self.log());
             assert!(Instant::now() < end, "{}", self.log());
             std::thread::sleep(Duration::from_millis(50));
         }
-        self.until("disarmed", |status| status.state == "disarmed");
         daemon
     }
 }
@@ -250,9 +263,7 @@ fn bad_usage_and_bad_configuration_have_status_2_and_start_nothing() {
     let place = Place::new();
     place.expect(&["set", "pressure", "3"], 2);
     place.expect(&["status", "--rig", "nowhere.toml"], 2);
-    let text = std::fs::read_to_string(place.path("rig.toml")).unwrap();
-    let text = text.replace("vent_time_s = 1.5", "vent_time_s = -1").replace("seed = 1", "sead = 1");
-    std::fs::write(place.path("rig.toml"), text).unwrap();
+    place.rewrite(|text| text.replace("vent_time_s = 1.5", "vent_time_s = -1").replace("seed = 1", "sead = 1"));
     for command in ["run", "vent"] {
         let text = place.expect(&[command], 2);
         assert!(text.contains("vent_time_s") && text.contains("sead") && text.contains("remedy"), "{text}");
@@ -376,16 +387,63 @@ fn a_killed_daemon_leaves_a_readable_run_and_the_next_one_starts_disarmed_and_ve
 fn a_changed_file_is_a_warning_and_refuses_to_arm() {
     attempt(|place| {
         let _daemon = place.daemon();
-        let before = std::fs::read_to_string(place.path("rig.toml")).unwrap();
-        std::fs::write(place.path("rig.toml"), before.clone() + "\n# changed\n").unwrap();
+        place.rewrite(|text| text + "# changed\n");
         let warned = |status: &Status| status.faults.iter().any(|fault| fault.name == "config_changed");
         let status = place.until("warned", warned);
         assert!(!status.is_faulted());
         let text = place.expect(&["arm", "--accept-margin"], 1);
         assert!(text.contains("a configuration file differs"), "{text}");
-        std::fs::write(place.path("rig.toml"), before).unwrap();
+        place.rewrite(|text| text.replace("# changed\n", ""));
         place.until("calm", |status| !warned(status));
         place.expect(&["arm", "--accept-margin"], 0);
+    });
+}
+
+#[test]
+fn devices_that_are_not_there_keep_it_from_arming_and_the_vent_from_being_verified() {
+    attempt(|place| {
+        place.rewrite(|text| {
+            let text =
+                text.replace("backend = \"sim\"", "backend = \"linux\"").replace("/dev/i2c-1", "/nonexistent/i2c");
+            text.replace("/dev/serial/by-id/usb-FTDI_FT232R_USB_UART-if00-port0", "/nonexistent/tty")
+        });
+        let text = place.expect(&["vent"], 3);
+        assert!(text.contains("paper: NOT verified") && text.contains("/nonexistent/tty"), "{text}");
+        assert!(text.contains("remedy") && !text.contains("SIMULATED"), "{text}");
+        let mut daemon = place.booting(&[]);
+        assert_eq!(place.status().state, "boot");
+        let text = place.expect(&["arm", "--accept-margin"], 1);
+        assert!(text.contains("/nonexistent/i2c") && text.contains("/nonexistent/tty"), "{text}");
+        place.expect(&["estop"], 3);
+        daemon.signal("-TERM");
+        assert_eq!(daemon.ended(), Some(3));
+        assert!(place.log().contains("the pressure of paper is not known"), "{}", place.log());
+    });
+}
+
+#[test]
+fn systemd_is_told_when_it_is_ready_that_it_lives_what_it_does_and_that_it_stops() {
+    attempt(|place| {
+        let path = place.path("notify");
+        let socket = UnixDatagram::bind(&path).unwrap();
+        socket.set_read_timeout(Some(LONG)).unwrap();
+        let heard = |wanted: &[&str]| {
+            let mut missing = wanted.to_vec();
+            while !missing.is_empty() {
+                let mut buffer = [0; 4096];
+                let length = socket.recv(&mut buffer).unwrap_or_else(|error| panic!("{missing:?}: {error}"));
+                let text = String::from_utf8_lossy(&buffer[..length]).into_owned();
+                missing.retain(|part| !text.contains(part));
+            }
+        };
+        let environment = [("NOTIFY_SOCKET", path.to_str().unwrap()), ("WATCHDOG_USEC", "1000000")];
+        let mut daemon = place.booting(&environment);
+        heard(&["READY=1", "STATUS=SIMULATED, disarmed", "WATCHDOG=1"]);
+        place.expect(&["estop"], 0);
+        heard(&["STATUS=SIMULATED, faulted: emergency_stop", "WATCHDOG=1"]);
+        daemon.signal("-INT");
+        heard(&["STOPPING=1"]);
+        assert_eq!(daemon.ended(), Some(0), "{}", place.log());
     });
 }
 

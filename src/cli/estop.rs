@@ -50,7 +50,7 @@ fn is_vented(status: &Status) -> bool {
 fn pressures(status: &Status) -> String {
     let free = status.frees.iter().map(|free| match free.pressure_pa {
         Some(pressure) => format!("{} at {:.2}", free.name, Pressure::pascals(pressure)),
-        None => format!("{} is not measured", free.name),
+        None => format!("the pressure of {} is not known", free.name),
     });
     free.collect::<Vec<_>>().join(", ")
 }

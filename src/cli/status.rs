@@ -42,6 +42,9 @@ async fn watch(client: &Client, context: &Context) -> Result<(), Failure> {
     let mut changes = client.watch().await.map_err(Failure::client)?;
     let terminal = io::stdout().is_terminal();
     let mut shown: Option<(tokio::time::Instant, String)> = None;
+    if terminal && !context.json {
+        write!(io::stdout().lock(), "\x1b[2J")?;
+    }
     while let Some(status) = changes.next().await.map_err(Failure::client)? {
         if context.json {
             context.print(serde_json::to_string(&status)?)?;

@@ -130,6 +130,20 @@ pub fn run<B: Bench>(
         }
         bench.request(Request::Gains { free: job.subject, gains })?;
     }
+    let runs = repeat(bench, rig, job, watch);
+    // However it ended, the next one begins with the rig's own gains.
+    if let (Some(gains), Some(_)) = (own, &job.gains) {
+        bench.request(Request::Gains { free: job.subject, gains })?;
+    }
+    runs
+}
+
+fn repeat<B: Bench>(
+    bench: &mut B,
+    rig: &Rig,
+    job: &Job,
+    watch: &mut dyn FnMut(&Progress<'_>),
+) -> Result<Vec<Run>, DaemonError> {
     let mut runs: Vec<Run> = Vec::new();
     for repeat in 1..=job.repeats {
         let repetition = (job.repeats > 1).then(|| Repetition {
@@ -143,9 +157,6 @@ pub fn run<B: Bench>(
         if !done || job.is_stopped() {
             break;
         }
-    }
-    if let (Some(gains), Some(_)) = (own, &job.gains) {
-        bench.request(Request::Gains { free: job.subject, gains })?;
     }
     // The reports of the earlier ones know nothing yet of the later ones, and show their scatter.
     if let [earlier @ .., _] = runs.as_slice() {

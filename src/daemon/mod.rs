@@ -2,6 +2,17 @@
 //!
 //! [`Live`] is the rig in real time, [`Stepped`] the simulated rig on the stepped clock; both run the same tick,
 //! owners, drivers and chips, and a procedure sees either as a [`Bench`].
+//!
+//! ```text
+//!   commands, curl                     systemd                SIGTERM       connecting is the stop, SIGUSR1
+//!        | control socket (Server)        ^ notify               |                  | (estop)
+//!        v                                |                      v                  v
+//!   Handle === requests, status, events === Desk ---> Supervisor ------ owns ---> Live: tick, bus owners, pump
+//!        +------------- heartbeat, emergency stop: atomics that the tick reads -------^
+//! ```
+//!
+//! One process owns a rig ([`RigLock`]). The supervisor answers at once; arming, clearing and experiments are work in
+//! threads of their own, written once against [`Bench`] ([`procedure`], [`experiment`]).
 
 pub mod api;
 mod bench;

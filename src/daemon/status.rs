@@ -19,12 +19,11 @@ pub(super) fn status(rig: &Rig, live: &Live, record: &TickRecord) -> Status {
             .map(|((free, tick), devices)| FreeStatus {
                 imu: devices.imu.as_deref().map(|imu| {
                     let sample = &tick.imu;
-                    device(imu, imu_health(sample.health), sample.time, sample.health == ImuHealth::Absent, record.time)
+                    device(imu, imu_health(sample.health), sample.time, record.time)
                 }),
                 regulator: devices.regulator.as_deref().map_or_else(DeviceStatus::default, |regulator| {
                     let sample = &tick.pressure;
-                    let absent = sample.health == RegulatorHealth::Absent;
-                    device(regulator, regulator_health(sample.health), sample.time, absent, record.time)
+                    device(regulator, regulator_health(sample.health), sample.time, record.time)
                 }),
                 vented: free.regulator.measures.then(|| is_free_vented(record.time, tick, free)),
                 ..free_status(&free.name, tick)
@@ -58,8 +57,9 @@ fn free_status(name: &str, tick: &FreeTick) -> FreeStatus {
     }
 }
 
-fn device(statistics: &DeviceStatistics, health: &str, read: Time, absent: bool, now: Time) -> DeviceStatus {
-    DeviceStatus::new(statistics, health, (!absent).then(|| now.since(read).as_secs_f64()))
+/// A device whose latest reading is of the time `read`; the epoch where there was none.
+fn device(statistics: &DeviceStatistics, health: &str, read: Time, now: Time) -> DeviceStatus {
+    DeviceStatus::new(statistics, health, (read > Time::ZERO).then(|| now.since(read).as_secs_f64()))
 }
 
 fn imu_health(health: ImuHealth) -> &'static str {

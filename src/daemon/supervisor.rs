@@ -50,7 +50,10 @@ pub struct Supervisor {
     run: Option<api::Run>,
     reports: mpsc::UnboundedSender<Report>,
     reported: mpsc::UnboundedReceiver<Report>,
+    /// What systemd was told last.
     told: String,
+    /// Records lost so far.
+    lost: u64,
 }
 
 impl Supervisor {
@@ -79,6 +82,7 @@ impl Supervisor {
             reports,
             reported,
             told: String::new(),
+            lost: 0,
         })
     }
 
@@ -132,6 +136,13 @@ impl Supervisor {
     /// Tells what the loop has done since the last time; whether there was anything.
     fn listen(&mut self) -> bool {
         let happenings = self.news.turn(&mut self.bench, &self.rig);
+        let lost = self.bench.with_pump(|p| p.lost_records());
+        if lost > self.lost {
+            let text = format!("{} records were lost: the recorder could not keep up", lost - self.lost);
+            let remedy = "the run says so in its stop document; find out what keeps the disk or the processor busy";
+            self.tell(Happening::Warning { text, remedy: remedy.into() });
+            self.lost = lost;
+        }
         let any = !happenings.is_empty();
         for what in happenings {
             self.tell(what);
@@ -218,6 +229,11 @@ impl Supervisor {
             }
             Report::Finished(result) => self.tell(Happening::RunFinished(result)),
             Report::Ended(ended) => self.ended(ended),
+            Report::Disarmed(done, answer) => {
+                self.publish();
+                let done = done.map(|()| Response::done("disarmed; the pressures are down"));
+                let _ = answer.send(done.map_err(|error| Problem::from(&error)));
+            }
         }
     }
 
@@ -347,10 +363,11 @@ impl Supervisor {
             work.stop();
         }
         let (mut bench, rig) = (self.bench.clone(), Arc::clone(&self.rig));
+        let reports = self.reports.clone();
         tokio::task::spawn_blocking(move || {
             let done = procedure::disarm(&mut bench, &rig);
-            let done = done.map(|()| Response::done("disarmed; the pressures are down"));
-            let _ = answer.send(done.map_err(|error| Problem::from(&error)));
+            // Without a supervisor the rig is vented, and the client told that the daemon is gone.
+            let _ = reports.send(Report::Disarmed(done, answer));
         });
     }
 

@@ -25,6 +25,8 @@ pub(super) enum Report {
     Finished(RunResult),
     /// All is done, or why it is not.
     Ended(Result<String, DaemonError>),
+    /// The pressures are down, or why they are not, and who wants to know: disarming is nobody's turn.
+    Disarmed(Result<(), DaemonError>, Answer),
 }
 
 /// Work under way.
