@@ -287,7 +287,10 @@ impl Supervisor {
                     });
                 }
             },
-            api::Request::Disarm => return self.disarm(answer),
+            api::Request::Disarm => match self.bench.latest() {
+                latest if latest.state == State::Faulted => Err(Problem::from(&DaemonError::Fault(latest.latched))),
+                _ => return self.disarm(answer),
+            },
             api::Request::Stop => self.stop(),
             api::Request::Set(set) => match byhand::job(&set, &self.rig, &self.bench.latest()) {
                 Ok(job) => return self.job(job, answer),
@@ -306,7 +309,7 @@ impl Supervisor {
             None => Ok(()),
             Some(work) => Err(Problem::new(
                 ProblemKind::Busy,
-                format!("the rig is busy: {}", work.what),
+                format!("the rig is busy {}", work.what),
                 "wait for it (`freerig status --watch`), or end it: `freerig disarm` takes the pressures down",
             )),
         }
@@ -336,7 +339,7 @@ impl Supervisor {
         }
         job.live = self.view.as_ref().map(LiveView::feed);
         let (bench, rig, stop) = (self.bench.clone(), Arc::clone(&self.rig), Arc::clone(&job.stop));
-        let what = format!("{} {}", job.kind.name(), job.title);
+        let what = format!("with a {}, \"{}\"", job.kind.name(), job.title);
         let body = move |reports: &_| carry_out(bench, &rig, &job, reports);
         self.work = Some(Work::start(what, answer, stop, self.reports.clone(), body));
     }
