@@ -456,9 +456,9 @@ fn a_live_rig_boots_arms_disarms_and_stops_vented() {
         let _owner = RigLock::take(&rig.socket.path, Duration::ZERO).unwrap();
         let live = Live::start(&rig, Switches::default()).unwrap();
         let mut bench = live.bench();
-        procedure::arm(&mut bench, &rig, true).unwrap();
+        procedure::arm(&mut bench, &rig, true).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(bench.latest().state, State::Hold);
-        procedure::disarm(&mut bench, &rig).unwrap();
+        procedure::disarm(&mut bench, &rig).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(bench.latest().state, State::Disarmed);
         assert!(live.stop(&rig).unwrap(), "vented");
     });
