@@ -398,6 +398,9 @@ fn a_changed_file_is_a_warning_and_refuses_to_arm() {
         place.rewrite(|text| text.replace("# changed\n", ""));
         place.until("calm", |status| !warned(status));
         place.expect(&["arm", "--accept-margin"], 0);
+        place.rewrite(|text| text + "# changed\n");
+        place.until("warned", warned);
+        assert!(place.expect(&["set", "pressure", "1psi"], 1).contains("a configuration file differs"));
     });
 }
 

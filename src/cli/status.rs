@@ -7,7 +7,7 @@ use std::time::Duration;
 use anyhow::anyhow;
 
 use super::{Context, Failure, control};
-use crate::daemon::api::{DeviceStatus, FreeStatus, Status};
+use crate::daemon::api::{DeviceStatus, FreeStatus, Run, Status};
 use crate::daemon::client::Client;
 use crate::signal::FaultCode;
 use crate::units::{Angle, Pressure};
@@ -83,7 +83,7 @@ fn in_a_line(status: &Status) -> String {
         let _ = write!(line, "; {}", fault.name);
     }
     if let Some(run) = &status.run {
-        let _ = write!(line, "; {} {:.1} of {:.1} s, {}", run.id, run.elapsed_s, run.duration_s, run.phase);
+        let _ = write!(line, "; {}: {}", run.id, progress(run));
     }
     if status.simulated { format!("SIMULATED {line}") } else { line }
 }
@@ -115,7 +115,7 @@ fn describe(status: &Status) -> String {
         let times = if run.repeats > 1 { format!(", {} of {}", run.repeat, run.repeats) } else { String::new() };
         let attended = if run.attended { "" } else { ", detached" };
         line(format!("\nrun {}: {} \"{}\"{times}{attended}", run.id, run.kind, run.name));
-        line(format!("  {}: {:.1} of {:.1} s", run.phase, run.elapsed_s, run.duration_s));
+        line(format!("  {}", progress(run)));
     }
     line(format!(
         "\n{:<12} {:>11} {:>11} {:>12} {:>10} {:>10}  limits in force",
@@ -139,6 +139,13 @@ fn describe(status: &Status) -> String {
     }
     text.truncate(text.trim_end().len());
     text
+}
+
+fn progress(run: &Run) -> String {
+    match run.duration_s {
+        duration if duration > 0.0 => format!("{}: {:.1} of {duration:.1} s", run.phase, run.elapsed_s),
+        _ => run.phase.clone(),
+    }
 }
 
 fn row(free: &FreeStatus) -> String {

@@ -106,7 +106,7 @@ pub struct Progress<'a> {
     pub repeat: u32,
     /// Time since the program's start, s.
     pub elapsed: f64,
-    /// Duration of the program, s.
+    /// Duration of the program, s; zero where none is under way.
     pub duration: f64,
     /// The latest record.
     pub record: &'a TickRecord,
@@ -217,6 +217,7 @@ fn once<B: Bench>(
             tell("taking the pressures down", back.duration, record);
         })?;
     }
+    tell("writing the report", 0.0, &bench.latest());
     report(&run);
     Ok(run)
 }

@@ -24,7 +24,7 @@ use crate::config::Rig;
 use crate::config::experiment::Experiment;
 use crate::control::Request;
 use crate::record::LiveView;
-use crate::signal::{State, TickRecord};
+use crate::signal::{RefusalCode, State, TickRecord};
 use crate::units::Pressure;
 
 /// How often the supervisor looks at the rig.
@@ -441,6 +441,9 @@ impl Supervisor {
 fn armed(record: &TickRecord) -> Result<(), Problem> {
     let refused = |error: &str, remedy: &str| Err(Problem::new(ProblemKind::Refused, error, remedy));
     match record.state {
+        State::Hold if record.config_changed => {
+            refused(RefusalCode::ConfigChanged.message(), RefusalCode::ConfigChanged.remedy())
+        }
         State::Hold => Ok(()),
         State::Disarmed => refused("the rig is not armed", "`freerig arm`, then try again"),
         State::Faulting | State::Faulted => Err(Problem::from(&DaemonError::Fault(record.latched))),
