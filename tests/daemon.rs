@@ -4,6 +4,7 @@
 //! as a device may be silent makes the rig fault all the same, as it must; such an attempt is made again.
 
 use std::fs::File;
+use std::io::BufReader;
 use std::os::unix::net::UnixDatagram;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
@@ -17,6 +18,8 @@ use freerig::daemon::client::{Client, ClientError};
 use freerig::daemon::{Bench, Live, RigLock, Switches, procedure};
 use freerig::record::{RRD_NAME, Run};
 use freerig::signal::State;
+use rerun::external::re_log_encoding::DecoderApp;
+use rerun::log::LogMsg;
 use tempfile::TempDir;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_freerig");
@@ -374,7 +377,10 @@ fn a_killed_daemon_leaves_a_readable_run_and_the_next_one_starts_disarmed_and_ve
         let (last, _) = killed.records().unwrap().last().unwrap();
         let last = last.program_time;
         assert!(last > 1.0, "{last} s of 1.5 s are there");
-        assert!(std::fs::metadata(folder.join(RRD_NAME)).unwrap().len() > 10_000);
+        let file = BufReader::new(File::open(folder.join(RRD_NAME)).unwrap());
+        let messages: Vec<_> = DecoderApp::decode_lazy(file).map_while(Result::ok).collect();
+        assert!(matches!(messages.first(), Some(LogMsg::SetStoreInfo(_))), "run.rrd does not open");
+        assert!(messages.len() > 20, "{} messages", messages.len());
 
         let daemon = place.daemon();
         let status = place.until("vented", |status| status.frees[0].vented == Some(true));
