@@ -139,7 +139,12 @@ impl Live {
         if let (Some(command), Some(sim)) = (valve, &sim) {
             let owner = ValveOwner::new(sim.dump_valve(clock.fork()), command, clock.fork(), timeout);
             let stop = Arc::clone(&stop_owners);
-            owners.push(named("dump-valve", move || owner.run(&stop))?);
+            let promote = promote.clone();
+            let serve = move || {
+                promote();
+                owner.run(&stop);
+            };
+            owners.push(named("dump-valve", serve)?);
         }
 
         let realtime = rt::Realtime {

@@ -154,7 +154,7 @@ async fn ask_units(subject: String, shown: &str, wiring: &SerialWiring, clock: &
         Some(milliseconds @ 2..) => Finding::warn(
             subject,
             format!("{opened}; its adapter holds bytes back for {milliseconds} ms"),
-            "set its latency_timer to 1 with a udev rule (the README has it)",
+            "set its latency_timer to 1 with a udev rule (systemd/70-freerig.rules)",
         ),
         Some(_) => Finding::ok(subject, format!("{opened}, latency timer 1 ms")),
         None => Finding::ok(subject, opened),
