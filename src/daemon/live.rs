@@ -25,6 +25,10 @@ use crate::sim::chips::Pty;
 const PUMP_PERIOD: Duration = Duration::from_millis(20);
 /// A reading older than this verifies no vent; six units on the slowest line take a third of it.
 const FRESH: Duration = Duration::from_secs(1);
+/// A loop that has not ticked for so long has ended.
+const LONGEST_STALL: Duration = Duration::from_secs(2);
+/// How often a loop that stalls is looked at.
+const STALL_LOOK: Duration = Duration::from_millis(2);
 /// Bus owners stand this far below the tick on the FIFO scale.
 const BELOW_THE_TICK: u8 = 10;
 
@@ -325,12 +329,13 @@ impl Bench for LiveBench {
     fn pass(&mut self, duration: Duration) -> Result<(), DaemonError> {
         let ticks = self.statistics.ticks();
         self.clock.block_until(self.clock.now() + duration);
-        // A machine may stall for a while; a loop that has ended never ticks again.
-        if self.statistics.ticks() == ticks {
-            self.clock.block_until(self.clock.now() + Duration::from_secs(2));
-            if self.statistics.ticks() == ticks {
-                return Err(DaemonError::LoopEnded("no tick for 2 s".into()));
+        // A machine may stall for a while, and then the heartbeat must not wait; a loop that has ended never ticks again.
+        let end = self.clock.now() + LONGEST_STALL;
+        while self.statistics.ticks() == ticks {
+            if self.clock.now() >= end {
+                return Err(DaemonError::LoopEnded(format!("no tick for {} s", LONGEST_STALL.as_secs())));
             }
+            self.clock.block_until(self.clock.now() + STALL_LOOK);
         }
         lock(&self.pump).turn();
         Ok(())
