@@ -26,11 +26,6 @@ pub(super) fn look(rig: &Rig, tell: &mut dyn FnMut(Finding)) {
     tell(socket(rig));
 }
 
-/// Whether a daemon answers at the rig's socket.
-pub(super) fn daemon_answers(rig: &Rig) -> bool {
-    matches!(check_free(&rig.socket.path), Err(SocketError::InUse(_)))
-}
-
 fn socket(rig: &Rig) -> Finding {
     let path = &rig.socket.path;
     let shown = path.display();

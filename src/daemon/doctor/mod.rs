@@ -1,17 +1,19 @@
 //! `freerig doctor`: what keeps this machine from running the rig, each thing with its remedy.
 //!
-//! Nothing is changed, and no pressure is commanded but zero, which is every unit's first frame. While a daemon
-//! answers at the rig's socket, the devices are left to it. On the sim backend the same drivers ask the simulated
-//! chips, and every line about a device says SIMULATED.
+//! Nothing is changed but that the rig's lock is taken for a moment, and no pressure is commanded but zero, which is
+//! every unit's first frame. While somebody owns the rig, the devices are left to them. On the sim backend the same
+//! drivers ask the simulated chips, and every line about a device says SIMULATED.
 
 mod devices;
 mod files;
 mod kernel;
 
 use std::fmt;
+use std::time::Duration;
 
 use crate::clock::Clock;
 use crate::config::{ConfigError, Rig};
+use crate::daemon::{DaemonError, RigLock};
 
 /// How bad a finding is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -90,10 +92,16 @@ pub fn examine(rig: &Result<Rig, ConfigError>, treatment: Treatment, tell: &mut 
     kernel::look(rig.map(|rig| &rig.realtime), tell);
     let Some(rig) = rig else { return };
     files::look(rig, tell);
-    if files::daemon_answers(rig) {
-        tell(Finding::ok("devices", "left to the running daemon (`freerig status` tells how they are)"));
-    } else {
-        devices::look(rig, treatment, &Clock::Live, tell);
+    // While a daemon lives, the buses are its own; nor may one start while they are looked at.
+    match RigLock::take(&rig.socket.path, Duration::ZERO) {
+        Ok(_lock) => devices::look(rig, treatment, &Clock::Live, tell),
+        Err(DaemonError::Owned(_)) => {
+            tell(Finding::ok(
+                "devices",
+                "left to the daemon or the command that owns the rig (`freerig status` tells)",
+            ));
+        }
+        Err(error) => tell(Finding::fail("devices", error.to_string(), error.remedy())),
     }
 }
 
