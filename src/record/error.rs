@@ -24,6 +24,12 @@ pub enum RecordError {
         /// What went wrong.
         source: ArrowError,
     },
+    /// The recording could not be carried on.
+    #[error("{path}: the recording ended before its time; what was written until then can be read", path = path.display())]
+    Broken {
+        /// The run's folder.
+        path: PathBuf,
+    },
     /// The file of samples ends before the first one.
     #[error("{path}: the run was cut off before its first sample ({reason})", path = path.display())]
     NoSamples {

@@ -54,6 +54,8 @@ pub struct Recorder {
     live: Option<(LiveFeed, Arc<StartDocument>)>,
     truth: bool,
     watch: Watch,
+    /// Samples could not be written: what is in the file is whole, and nothing more goes into it.
+    broken: bool,
 }
 
 impl Recorder {
@@ -79,6 +81,7 @@ impl Recorder {
             live: options.live.map(|feed| (feed, Arc::new(run.start().clone()))),
             truth: options.truth,
             watch: Watch::new()?,
+            broken: false,
             run,
         })
     }
@@ -101,9 +104,12 @@ impl Recorder {
     /// Appends a record. `truth` has an entry for every FREE, where the rig is simulated.
     ///
     /// # Errors
-    /// Where the samples cannot be written any more (the disk is full): the run goes on unrecorded, or ends, as
+    /// Where the samples cannot be written any more (the disk is full), once: the run goes on unrecorded, or ends, as
     /// the caller decides.
     pub fn push(&mut self, record: &TickRecord, truth: Option<&[Truth]>) -> Result<()> {
+        if self.broken {
+            return Ok(());
+        }
         if self.batch.rows() == 0 {
             self.batch_start = record.time;
         } else if record.time.since(self.batch_start) >= self.batch_length {
@@ -117,7 +123,10 @@ impl Recorder {
 
     fn cut(&mut self) -> Result<()> {
         let batch = self.batch.take().map_err(RecordError::samples(&self.run.folder))?;
-        self.samples.write(&batch)?;
+        if let Err(error) = self.samples.write(&batch) {
+            self.broken = true;
+            return Err(error);
+        }
         if let Some(rerun) = &mut self.rerun
             && let Err(error) = rerun.send(&batch)
         {
@@ -134,8 +143,11 @@ impl Recorder {
     /// Writes what is left and the stop document, completed by what the records have shown.
     ///
     /// # Errors
-    /// Where it cannot be written; the run is then incomplete.
+    /// Where it cannot be written, or records could not be before; the run is then incomplete.
     pub fn finish(mut self, stop: StopDocument) -> Result<Run> {
+        if self.broken {
+            return Err(RecordError::Broken { path: self.run.folder });
+        }
         if self.batch.rows() > 0 {
             self.cut()?;
         }
@@ -260,5 +272,31 @@ fn fault(code: FaultCode, free: Option<&String>, record: &TickRecord, t: f64) ->
         t_s: t,
         latched: false,
         message: format!("{}. {}", row(code).condition, row(code).remedy),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_disk_is_said_once_and_leaves_what_was_written() {
+        let runs = tempfile::tempdir().unwrap();
+        let mut recorder =
+            Recorder::create(runs.path(), StartDocument::default(), RecordOptions { rrd: false, ..Default::default() })
+                .unwrap();
+        let folder = recorder.folder().to_owned();
+        let push = |recorder: &mut Recorder, ticks: std::ops::Range<u64>| -> Vec<RecordError> {
+            let record = |tick| TickRecord { tick, time: Time::from_nanos(tick * 2_000_000), ..TickRecord::default() };
+            ticks.filter_map(|tick| recorder.push(&record(tick), None).err()).collect()
+        };
+        assert!(push(&mut recorder, 0..120).is_empty());
+        recorder.samples.fill_the_disk();
+        let errors = push(&mut recorder, 120..500);
+        assert_eq!(errors.len(), 1);
+        assert!(errors[0].to_string().contains("the disk is full"), "{}", errors[0]);
+        assert!(matches!(recorder.finish(StopDocument::default()), Err(RecordError::Broken { .. })));
+        let run = Run::open(&folder).unwrap();
+        assert_eq!((run.is_complete(), run.records().unwrap().count()), (false, 100));
     }
 }

@@ -50,6 +50,13 @@ impl SampleWriter {
         self.writer.get_mut().flush().map_err(RecordError::io(&self.path))
     }
 
+    /// From here on the disk has no room.
+    #[cfg(test)]
+    pub(super) fn fill_the_disk(&mut self) {
+        let full = File::options().write(true).open("/dev/full").unwrap();
+        *self.writer.get_mut() = BufWriter::new(full);
+    }
+
     /// Writes the end of the stream and waits until the disk has everything.
     ///
     /// # Errors
