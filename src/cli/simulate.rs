@@ -382,7 +382,7 @@ impl Report<'_> {
             let settling = |t: Option<f64>| t.map_or("never".to_owned(), |t| format!("{t:.3} s"));
             writeln!(
                 out,
-                "  to {:.1}: {:.3} against {:.3} ({:+.1} %), settled ({} %) in {} against {}",
+                "  to {:.1}: {:.3} against {:.3} ({:+.1} %), settled ({} %): {} against {}",
                 Angle::radians(n.to),
                 Pressure::pascals(l.pressure),
                 Pressure::pascals(n.pressure),
