@@ -10,7 +10,7 @@
 //! | steady error | mean error over the last fifth of the hold |
 //! | RMSD to the model | RMS of angle - model over the range of the reference (of the angle in a sweep), and in rad |
 //! | RMSD to the model at rest | in a sweep: RMS of angle - model at rest at the same pressure, over the range of the angle |
-//! | hysteresis | greatest difference of the angle between the ways up and down at one pressure, over its range |
+//! | hysteresis | greatest difference of the angle between the ways up and down at one pressure, over its range; at the ends of the holds, where a sweep has them |
 //!
 //! The angle is the estimate that the controller acts on; with the simulated rig the same figures of the true
 //! angle stand beside.
@@ -28,6 +28,8 @@ use crate::signal::Quantity;
 const SETTLED: f64 = 0.02;
 /// Shortest stand-still of the reference that counts as a hold, s.
 const SHORTEST_HOLD: f64 = 0.2;
+/// Fewest holds on each way that a sweep is judged by; with fewer it counts as a slow ramp.
+const FEWEST_HOLDS: usize = 3;
 /// Smallest difference between two holds that counts as a move, rad.
 const SMALLEST_MOVE: f64 = 0.0087;
 
@@ -155,8 +157,7 @@ impl FreeMetrics {
         };
         let range = range(if angular { reference } else { angle });
         let percent = |value: Option<f64>| Some(100.0 * value? / range.filter(|r| *r > 0.0)?);
-        let rest = if sweep { rest_deviation(signals) } else { None };
-        let hysteresis_rad = if sweep { hysteresis(&signals.pressure[window.clone()], angle) } else { None };
+        let (rest, hysteresis_rad) = if sweep { at_rest(signals) } else { (None, None) };
         Self {
             free: signals.name.clone(),
             quantity: signals.quantity,
@@ -275,11 +276,58 @@ pub fn hysteresis(pressure: &[f64], angle: &[f64]) -> Option<f64> {
         .reduce(f64::max)
 }
 
-/// RMS of angle - model at rest at the measured pressures, and the range of the angle there, rad: the figure of the
-/// paper's Fig. 7; `None` where the model says nothing.
-fn rest_deviation(signals: &Signals) -> Option<(f64, f64)> {
+/// Figures of a sweep: [`rest_deviation`] and the hysteresis. Where the pressure was held step by step they come from
+/// the end of each hold alone: on the way, damping and delays look like hysteresis.
+fn at_rest(signals: &Signals) -> (Option<(f64, f64)>, Option<f64>) {
+    let (pressure, angle) = holds(signals);
+    let (up, down) = ways(&pressure, &angle);
+    if up[0].len() >= FEWEST_HOLDS && down[0].len() >= FEWEST_HOLDS {
+        return (rest_deviation(signals, &pressure, &angle), gap(&up, &down));
+    }
     let window = signals.window.clone();
     let (pressure, angle) = (&signals.pressure[window.clone()], &signals.angle[window]);
+    (rest_deviation(signals, pressure, angle), hysteresis(pressure, angle))
+}
+
+/// Mean pressure and angle over the last fifth of every hold of the pressure's reference.
+fn holds(signals: &Signals) -> (Vec<f64>, Vec<f64>) {
+    let window = signals.window.clone();
+    let (t, reference) = (&signals.t[window.clone()], &signals.reference_pressure[window.clone()]);
+    let (pressure, angle) = (&signals.pressure[window.clone()], &signals.angle[window]);
+    let mut points = (Vec::new(), Vec::new());
+    let mut start = 0;
+    for end in 1..=reference.len() {
+        if end < reference.len() && reference[end] == reference[start] {
+            continue;
+        }
+        let (begun, ended) = (t[start], t[end - 1]);
+        if ended - begun >= SHORTEST_HOLD {
+            let settled = |i: &usize| t[*i] >= ended - 0.2 * (ended - begun);
+            let known = |i: &usize| pressure[*i].is_finite() && angle[*i].is_finite();
+            let (n, p, y) = (start..end)
+                .filter(settled)
+                .filter(known)
+                .fold((0.0, 0.0, 0.0), |(n, p, y), i| (n + 1.0, p + pressure[i], y + angle[i]));
+            if n > 0.0 {
+                points.0.push(p / n);
+                points.1.push(y / n);
+            }
+        }
+        start = end;
+    }
+    points
+}
+
+/// Greatest difference of the angle between two ways at the pressures of the second.
+fn gap(up: &[Vec<f64>; 2], down: &[Vec<f64>; 2]) -> Option<f64> {
+    let (low, high) = (*up[0].first()?, *up[0].last()?);
+    let common = down[0].iter().zip(&down[1]).filter(|(p, _)| (low..=high).contains(*p));
+    common.map(|(&p, y)| (y - interpolate(&up[0], &up[1], p)).abs()).reduce(f64::max)
+}
+
+/// RMS of angle - model at rest at these pressures, and the range of the angle there, rad: the figure of the
+/// paper's Fig. 7; `None` where the model says nothing.
+fn rest_deviation(signals: &Signals, pressure: &[f64], angle: &[f64]) -> Option<(f64, f64)> {
     let highest = pressure.iter().copied().filter(|p| p.is_finite()).fold(0.0, f64::max);
     let (at, model) = prediction::quasi_static(signals, highest);
     let reached = *at.last()?;
