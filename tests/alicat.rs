@@ -607,7 +607,7 @@ fn the_same_driver_works_on_a_real_pseudo_terminal() {
     }
     let folder = tempfile::tempdir().unwrap();
     let device = folder.path().join("usb-simulated");
-    let mut pty = Pty::new(bench.line.clone(), &device).unwrap();
+    let mut pty = Pty::new(bench.line.clone(), &device, Arc::new(|| ())).unwrap();
     let wiring = SerialWiring { device: pty.path().to_owned(), ..wiring(2) };
     let (mut command, commands) = triple_buffer(&Command::default());
     let (publish, mut samples): (Vec<_>, Vec<_>) = (0..2).map(|_| triple_buffer(&PressureSample::default())).unzip();

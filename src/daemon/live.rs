@@ -120,12 +120,12 @@ impl Live {
             let mut wiring = wiring.clone();
             if let Some(sim) = &sim {
                 let link = rig.record.directory.join(format!(".sim-{}-{}", std::process::id(), wiring.name));
-                let pty = std::fs::create_dir_all(&rig.record.directory).and_then(|()| sim.pty(index, &link)).map_err(
-                    |error| DaemonError::Io {
+                let pty = std::fs::create_dir_all(&rig.record.directory)
+                    .and_then(|()| sim.pty(index, &link, Arc::new(promote.clone())))
+                    .map_err(|error| DaemonError::Io {
                         what: format!("the simulated serial line {} cannot be put at {}", wiring.name, link.display()),
                         error,
-                    },
-                )?;
+                    })?;
                 wiring.device = pty.path().to_owned();
                 ptys.push(pty);
             }
@@ -293,7 +293,7 @@ fn note(devices: &mut [FreeDevices], free: usize, set: impl FnOnce(&mut FreeDevi
 }
 
 /// Promotes the calling thread below the tick; a refusal is the tick's refusal, and told there.
-fn promotion(tick: u8) -> impl Fn() + Clone + Send + 'static {
+fn promotion(tick: u8) -> impl Fn() + Clone + Send + Sync + 'static {
     let priority = tick.saturating_sub(BELOW_THE_TICK).max(1);
     move || {
         if let Err(refusal) = rt::fifo(Some(priority)) {

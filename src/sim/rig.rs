@@ -6,7 +6,8 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::chips::{
-    AlicatChip, Bno055Chip, Bno055Sim, Mcp4728Chip, MemoryStream, Mischief, Orientation, Pty, SerialLine, SimI2c,
+    AlicatChip, Bno055Chip, Bno055Sim, Mcp4728Chip, MemoryStream, Mischief, Orientation, Promote, Pty, SerialLine,
+    SimI2c,
 };
 use super::{BenchConfig, Plant};
 use crate::clock::Clock;
@@ -125,13 +126,13 @@ impl SimRig {
         })
     }
 
-    /// A serial line as a pseudo-terminal, under the path `link`.
+    /// A serial line as a pseudo-terminal, under the path `link`, served by a thread that calls `promote` first.
     ///
     /// # Errors
     /// If the system gives none, or there is no such line.
-    pub fn pty(&self, index: usize, link: &Path) -> io::Result<Pty> {
+    pub fn pty(&self, index: usize, link: &Path, promote: Promote) -> io::Result<Pty> {
         let line = self.lines.get(index).ok_or(io::ErrorKind::NotFound)?;
-        Pty::new(Arc::clone(line), link)
+        Pty::new(Arc::clone(line), link, promote)
     }
 
     /// Makes the IMU of a FREE misbehave.

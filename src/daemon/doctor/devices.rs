@@ -122,7 +122,8 @@ impl<I: I2c, O: FnMut() -> Result<I, HardwareError>> Bus<'_, O> {
 }
 
 fn simulated_line(sim: &SimRig, index: usize, wiring: &SerialWiring, clock: &Clock, tell: &mut dyn FnMut(Finding)) {
-    let plugged = tempfile::tempdir().and_then(|folder| Ok((sim.pty(index, &folder.path().join("line"))?, folder)));
+    let plugged = tempfile::tempdir()
+        .and_then(|folder| Ok((sim.pty(index, &folder.path().join("line"), std::sync::Arc::new(|| ()))?, folder)));
     match plugged {
         Ok((pty, _folder)) => {
             let wiring = SerialWiring { device: pty.path().to_owned(), ..wiring.clone() };

@@ -17,7 +17,7 @@ pub use bno055::{Bno055Chip, Bno055Sim, Motion, Orientation};
 pub use i2c::{I2cChip, Nak, SimI2c, SimI2cError};
 pub use line::{MemoryStream, SerialLine};
 pub use mcp4728::{DacRegister, Mcp4728Chip, VoltageSink};
-pub use pty::Pty;
+pub use pty::{Promote, Pty};
 
 /// Ways in which a chip can go wrong.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -23,18 +23,22 @@ const CLOSED_POLL: Duration = Duration::from_millis(2);
 /// How long to sleep when there is nothing to send.
 const IDLE: Duration = Duration::from_secs(1);
 
+/// What the serving thread does first.
+pub type Promote = Arc<dyn Fn() + Send + Sync>;
+
 /// The pseudo-terminal, served by a thread; unplugged when dropped.
 pub struct Pty {
     line: Arc<Mutex<SerialLine>>,
     link: PathBuf,
+    promote: Promote,
     serving: Option<(oneshot::Sender<()>, JoinHandle<()>)>,
 }
 
 impl Pty {
     /// Plugs the line in. The device's path is `link`, a symbolic link as in `/dev/serial/by-id`; an old link
-    /// there is replaced.
-    pub fn new(line: Arc<Mutex<SerialLine>>, link: &Path) -> io::Result<Self> {
-        let mut pty = Self { line, link: link.to_owned(), serving: None };
+    /// there is replaced. The serving thread calls `promote` first: a real unit does not wait for a busy computer.
+    pub fn new(line: Arc<Mutex<SerialLine>>, link: &Path, promote: Promote) -> io::Result<Self> {
+        let mut pty = Self { line, link: link.to_owned(), promote, serving: None };
         pty.plug()?;
         Ok(pty)
     }
@@ -71,8 +75,9 @@ impl Pty {
         self.line.lock().unwrap_or_else(PoisonError::into_inner).plug(true);
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         let (stop, stopped) = oneshot::channel();
-        let line = self.line.clone();
+        let (line, promote) = (self.line.clone(), self.promote.clone());
         let thread = std::thread::Builder::new().name("sim-serial".to_owned()).spawn(move || {
+            promote();
             runtime.block_on(async {
                 if let Either::Left((Err(error), _)) = select(pin!(serve(master, &line)), stopped).await {
                     tracing::error!("the simulated serial line has failed: {error}");
