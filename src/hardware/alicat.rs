@@ -234,7 +234,14 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Alicat<'_, S> {
             _ => {}
         }
         let lines = self.line.transact_lines(&self.unit.command("??D*"), LIST_PAUSE).await?;
-        self.unit.columns = Columns::from_manifest(&lines, self.unit.wiring.id)?.unwrap_or_default();
+        self.unit.columns = Columns::from_manifest(&lines, self.unit.wiring.id)?.unwrap_or_else(|| {
+            tracing::warn!(
+                "{} does not list its columns: that it counts in {} Pa, as rig.toml says, cannot be verified",
+                self.unit.device,
+                self.unit.wiring.pascals_per_unit
+            );
+            Columns::default()
+        });
         let configured = self.unit.wiring.pascals_per_unit;
         if let Some(scale) = self.unit.columns.pascals_per_unit()
             && (scale / configured - 1.0).abs() > SCALE_TOLERANCE

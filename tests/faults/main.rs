@@ -4,5 +4,6 @@
 
 mod adversary;
 mod killed;
+mod live;
 mod matrix;
 mod stage;
