@@ -170,6 +170,9 @@ fn a_key_in_another_unit_is_answered_with_the_value_in_the_right_one() {
 #[test]
 fn values_are_held_to_their_type_and_range() {
     one_problem("rate_hz = 500 ", "rate_hz = 10 ", "loop.rate_hz", "within 50 to 4000", "within 50 to 4000");
+    // A required key that is there and wrong is wrong, and not missing as well.
+    let (ten, many) = ("max_pressure_psi = 10 ", "max_pressure_psi = 500 ");
+    one_problem(ten, many, "free.paper.limits.max_pressure_psi", "must be within 0.1 to 150", "within 0.1 to 150");
     one_problem("rate_hz = 500 ", "rate_hz = \"500\" ", "loop.rate_hz", "must be a number", "a number within");
     one_problem("rate_hz = 500 ", "rate_hz = nan ", "loop.rate_hz", "must be a number", "a number within");
     one_problem("priority = 80 ", "priority = 8.5 ", "loop.priority", "whole number", "1 to 98");

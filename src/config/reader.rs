@@ -118,7 +118,10 @@ impl<'a> Section<'a> {
             None => match default.into() {
                 Some(default) => default * scale,
                 None => {
-                    self.require(key, &in_range(&range));
+                    // What is there and wrong has been told.
+                    if !self.has(key) {
+                        self.require(key, &in_range(&range));
+                    }
                     f64::NAN
                 }
             },
