@@ -20,6 +20,7 @@
 mod domain;
 mod equilibrium;
 mod free;
+mod hysteresis;
 mod integrator;
 mod kinematics;
 mod lumped;
@@ -29,6 +30,7 @@ mod response;
 pub use domain::DomainError;
 pub use equilibrium::{Equilibrium, EquilibriumError};
 pub use free::{Free, FreeError, FreeProblem};
+pub use hysteresis::{ELEMENTS, Hysteresis, HysteresisError, HysteresisState};
 pub use integrator::{Effort, Feedback, IntegrationError};
 pub use kinematics::{Actuation, Kinematics};
 pub use lumped::{GRAVITY, Law, Linearised, Load, LoopCoefficients, Lumped, LumpedState, Tangent};
