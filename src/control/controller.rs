@@ -14,8 +14,10 @@ use super::fault::Reaction;
 use super::feedforward::Feedforward;
 use super::interlocks::{FreeInterlocks, HEARTBEAT_MAX, LateTicks, STALL_MAX, Seen, Vented, Verdict, reached};
 use super::lifecycle::{Faulting, Mode, Phase, Sight};
+use super::model_following::ModelFollowing;
 use super::pid::{Band, Pid};
-use super::{ControlConfig, FreeControl, Gains, Limits, Request, TickInput};
+use super::static_map::StaticMapError;
+use super::{ControlConfig, ControllerKind, DerivativeOn, FreeControl, Gains, Limits, Request, TickInput};
 use crate::clock::Time;
 use crate::signal::{
     Command, Estimate, FaultCode, FreeTick, LimitSet, MAX_FREES, Quantity, Reference, Refusal, RefusalCode,
@@ -48,6 +50,14 @@ pub enum ControlError {
         /// What it must be.
         rule: &'static str,
     },
+    /// No inverse model for the controller `model`.
+    #[error("FREE {free}: no inverse model for `controller = \"model\"`: {problem}")]
+    Model {
+        /// Its name.
+        free: String,
+        /// What is the matter.
+        problem: StaticMapError,
+    },
 }
 
 /// One FREE: its part of the controller.
@@ -55,10 +65,17 @@ pub enum ControlError {
 struct Channel {
     limits: Limits,
     pid: Pid,
-    feedforward: Feedforward,
+    forward: Forward,
     estimator: Option<Estimator>,
     interlocks: FreeInterlocks,
     command: f64,
+}
+
+/// What is sent ahead of the PID.
+#[derive(Clone, Debug)]
+enum Forward {
+    Linear(Feedforward),
+    Model(Box<ModelFollowing>),
 }
 
 /// What became of one FREE in this tick, before the command.
@@ -107,8 +124,8 @@ impl Controller {
                 check(free, config.ramp_time.as_secs_f64())?;
                 Ok(Channel {
                     limits: free.limits,
-                    pid: Pid::new(free.gains, free.derivative_on, free.free.direction()),
-                    feedforward: Feedforward::new(free.free, &free.regulator, free.feedforward),
+                    pid: Pid::new(free.gains, derivative_on(free), free.free.direction()),
+                    forward: Forward::new(free, tick)?,
                     estimator: free.imu.map(|imu| Estimator::new(&imu, tick)),
                     interlocks: FreeInterlocks::new(free),
                     command: 0.0,
@@ -420,7 +437,10 @@ impl Controller {
             let wish = match &self.phase {
                 Phase::Armed(Mode::Hold) => Wish::Keep,
                 Phase::Faulting(Faulting::Hold) => Wish::Freeze,
-                Phase::Armed(Mode::Run(_)) => Wish::Follow(reference),
+                Phase::Armed(Mode::Run(run)) => {
+                    let ahead = channel.forward.lead().map(|lead| run.program.reference(index, run.time(now) + lead));
+                    Wish::Follow(reference, ahead.unwrap_or(reference))
+                }
                 Phase::RampDown(ramp) | Phase::Faulting(Faulting::Ramp(ramp, _)) => {
                     Wish::Pressure(ramp.from[index] * ramp.level(now, self.ramp_time))
                 }
@@ -449,6 +469,7 @@ impl Controller {
                 let estimate = judged[free].estimate;
                 match reference {
                     Some(r) if r.quantity == Quantity::Angle => {
+                        let r = channel.forward.compared_with(r);
                         channel.pid.set_gains(gains, &r, &estimate, channel.limits.pressure_max);
                     }
                     _ => channel.pid.replace_gains(gains),
@@ -471,8 +492,8 @@ enum Wish {
     Freeze,
     /// On the way down, Pa.
     Pressure(f64),
-    /// A program.
-    Follow(Reference),
+    /// A program: its reference now, and as far ahead as the model looks.
+    Follow(Reference, Reference),
 }
 
 impl Channel {
@@ -480,7 +501,10 @@ impl Channel {
     fn engage(&mut self, reference: &Reference, estimate: &Estimate) {
         self.pid.reset();
         if reference.quantity == Quantity::Angle {
-            let feedforward = self.feedforward.pressure(reference);
+            let feedforward = match &mut self.forward {
+                Forward::Linear(feedforward) => feedforward.pressure(reference),
+                Forward::Model(model) => model.engage(reference, estimate),
+            };
             self.pid.engage(reference, estimate, feedforward, self.command, self.limits.pressure_max);
         }
     }
@@ -488,7 +512,7 @@ impl Channel {
     /// Sets the command; returns what was wanted before the limits (Pa) and the limits in force.
     fn drive(&mut self, wish: Wish, estimate: &Estimate, dt: f64) -> (f64, LimitSet) {
         let band = Band::new(self.command, self.limits.pressure_max, self.limits.slew, dt);
-        let angle = matches!(wish, Wish::Follow(Reference { quantity: Quantity::Angle, .. }));
+        let angle = matches!(wish, Wish::Follow(Reference { quantity: Quantity::Angle, .. }, _));
         if !angle && !matches!(wish, Wish::Freeze) {
             self.pid.reset();
         }
@@ -496,19 +520,59 @@ impl Channel {
             Wish::Zero => (0.0, 0.0, LimitSet::default()),
             Wish::Keep => (self.command, self.command, LimitSet::default()),
             Wish::Freeze => (self.command, self.command, LimitSet::INTEGRATOR_HELD),
-            Wish::Follow(reference) if angle && estimate.valid => {
-                let feedforward = self.feedforward.pressure(&reference);
+            Wish::Follow(reference, ahead) if angle && estimate.valid => {
+                let (reference, feedforward) = match &mut self.forward {
+                    Forward::Linear(feedforward) => (reference, feedforward.pressure(&reference)),
+                    Forward::Model(model) => model.step(&ahead, estimate, dt),
+                };
                 self.pid.step(&reference, estimate, feedforward, &band, dt)
             }
             // The first reading after the tare is not here yet.
-            Wish::Follow(_) if angle => (self.command, self.command, LimitSet::INTEGRATOR_HELD),
-            Wish::Follow(Reference { position, .. }) | Wish::Pressure(position) => {
+            Wish::Follow(..) if angle => (self.command, self.command, LimitSet::INTEGRATOR_HELD),
+            Wish::Follow(Reference { position, .. }, _) | Wish::Pressure(position) => {
                 let (command, limits) = band.limit(position);
                 (position, command, limits)
             }
         };
         self.command = command;
         (wanted, limits)
+    }
+}
+
+impl Forward {
+    fn new(free: &FreeControl, tick: f64) -> Result<Self, ControlError> {
+        match &free.controller {
+            ControllerKind::Pid => {
+                Ok(Self::Linear(Feedforward::new(free.free, &free.regulator, free.feedforward)))
+            }
+            ControllerKind::Model(spec) => ModelFollowing::new(free, spec, tick)
+                .map(|model| Self::Model(Box::new(model)))
+                .map_err(|problem| ControlError::Model { free: free.name.clone(), problem }),
+        }
+    }
+
+    /// What the feedback compares the estimate with, where the program's reference is `reference`.
+    fn compared_with(&self, reference: Reference) -> Reference {
+        match self {
+            Self::Linear(_) => reference,
+            Self::Model(model) => model.compared_with(),
+        }
+    }
+
+    /// How far ahead it looks, s.
+    fn lead(&self) -> Option<f64> {
+        match self {
+            Self::Linear(_) => None,
+            Self::Model(model) => Some(model.lead()),
+        }
+    }
+}
+
+fn derivative_on(free: &FreeControl) -> DerivativeOn {
+    match free.controller {
+        ControllerKind::Pid => free.derivative_on,
+        // The model moves, and so does what the derivative compares with.
+        ControllerKind::Model(_) => DerivativeOn::Error,
     }
 }
 

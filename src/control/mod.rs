@@ -9,9 +9,12 @@ pub mod feedforward;
 pub mod interlocks;
 pub mod lifecycle;
 pub mod margin;
+pub mod model_following;
 pub mod pid;
 pub mod refusal;
 pub mod replay;
+pub mod shaper;
+pub mod static_map;
 
 pub use controller::{ControlError, Controller};
 pub use design::default_gains;
@@ -21,7 +24,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::clock::Time;
-use crate::model::Free;
+use crate::model::{Free, Hysteresis};
 use crate::signal::{ImuSample, MAX_FREES, PressureSample};
 use crate::trajectory::Program;
 
@@ -69,6 +72,26 @@ pub struct Limits {
     pub tracking_error: (f64, f64),
 }
 
+/// What controls the angle.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum ControllerKind {
+    /// The PID of Eq. 5, with the linear feedforward where it is switched on.
+    #[default]
+    Pid,
+    /// The inverse model with preview, shaped steps and hysteresis; the PID is its feedback
+    /// ([`model_following`]).
+    Model(ModelSpec),
+}
+
+/// What the inverse model knows beyond the FREE, its regulator and its IMU.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ModelSpec {
+    /// Torsional hysteresis.
+    pub hysteresis: Hysteresis,
+    /// The static map; without it the table of the FREE's own equilibria.
+    pub statics: Option<static_map::StaticMap>,
+}
+
 /// How the FREE's IMU is read.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuChannel {
@@ -104,11 +127,13 @@ pub struct FreeControl {
     pub name: String,
     /// Its lumped model.
     pub free: Free,
-    /// Gains at start.
+    /// What controls its angle.
+    pub controller: ControllerKind,
+    /// Gains at start: of the PID, or of the feedback around the model.
     pub gains: Gains,
-    /// What the derivative term looks at.
+    /// What the derivative term looks at; around the model always the error.
     pub derivative_on: DerivativeOn,
-    /// Share of the inverse linear model (with the regulator's lag) fed forward: 0 none, 1 all of it.
+    /// Share of the inverse linear model (with the regulator's lag) fed forward by the PID: 0 none, 1 all of it.
     pub feedforward: f64,
     /// Its limits.
     pub limits: Limits,

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use freerig::clock::Time;
 use freerig::control::{
-    ControlConfig, Controller, DerivativeOn, FreeControl, Gains, ImuChannel, Limits, RegulatorChannel, Request,
+    ControlConfig, Controller, ControllerKind, DerivativeOn, FreeControl, Gains, ImuChannel, Limits, RegulatorChannel, Request,
     TickInput,
 };
 use freerig::model::Free;
@@ -35,6 +35,7 @@ pub fn free_control(gamma_deg: f64) -> FreeControl {
     FreeControl {
         name: "paper".into(),
         free: paper(gamma_deg),
+        controller: ControllerKind::Pid,
         gains: Gains { proportional: 30928.0, integral: 262406.0, derivative: 911.0, derivative_filter: 20.0 },
         derivative_on: DerivativeOn::Measurement,
         feedforward: 0.0,

@@ -1,10 +1,12 @@
 //! The controller as a whole: life cycle, interlocks, limits, replay, without any device.
 
+mod bench;
 mod faults;
 mod harness;
 mod ideal;
 mod invariants;
 mod lifecycle;
+mod model;
 mod no_alloc;
 mod tracking;
 

@@ -1,0 +1,109 @@
+//! The controller `model` on the simulated rig of the acceptance.
+
+use freerig::control::{ControlConfig, ModelSpec, default_gains};
+use freerig::control::{FreeControl, Gains};
+use freerig::model::Free;
+use freerig::signal::State;
+use freerig::trajectory::{paper_steps, paper_trajectory};
+
+use crate::bench::*;
+use crate::harness::{PSI, TICK, config, free_control};
+
+fn gains_of(free: &FreeControl) -> Gains {
+    default_gains(&free.free, &free.regulator, &free.imu.unwrap(), TICK)
+}
+
+fn model_config(free: Free, spec: ModelSpec) -> ControlConfig {
+    let mut control = with_model(free, spec);
+    control.frees[0].gains = gains_of(&control.frees[0]);
+    control
+}
+
+fn published() -> Gains {
+    Gains { proportional: 17236.9, integral: 603291.5, ..Gains::default() }
+}
+
+#[test]
+fn the_papers_trajectory_is_followed_to_a_tenth_of_a_degree() {
+    for seed in [1, 2, 3] {
+        let plant = plant(Free::paper(), 0.03, seed);
+        let (free, hysteresis) = calibrated(&plant, seed);
+        let control = model_config(free, ModelSpec { hysteresis, statics: None });
+        let mut bench = Bench::new(&control, &plant);
+        bench.arm();
+        let course = bench.run(&paper_trajectory().unwrap());
+        let (rms, peak) = course.errors();
+        let pid = |gains, feedforward| {
+            let mut pid = config(vec![FreeControl { free, ..free_control(-40.0) }]);
+            (pid.frees[0].gains, pid.frees[0].feedforward) = (gains, feedforward);
+            let mut bench = Bench::new(&pid, &plant);
+            bench.arm();
+            bench.run(&paper_trajectory().unwrap()).errors()
+        };
+        let own = gains_of(&control.frees[0]);
+        let (old, old_peak) = pid(published(), 0.0);
+        let (tuned, _) = pid(own, 0.0);
+        let (fed, _) = pid(own, 1.0);
+        println!(
+            "seed {seed}: model {rms:.3} peak {peak:.3}; published {old:.3} peak {old_peak:.3}; own {tuned:.3}, with \
+             feedforward {fed:.3} deg"
+        );
+        assert_eq!(course.state, State::Track);
+        assert!(rms <= 0.12 && peak <= 0.5 && rms <= 0.2 * old, "{seed}: {rms} {peak} {old}");
+    }
+}
+
+#[test]
+fn steps_settle_nearly_as_fast_as_the_regulator_allows_and_hardly_overshoot() {
+    for seed in [1, 2, 3] {
+        let plant = plant(Free::paper(), 0.03, seed);
+        let (free, hysteresis) = calibrated(&plant, seed);
+        let control = model_config(free, ModelSpec { hysteresis, statics: None });
+        let mut bench = Bench::new(&control, &plant);
+        bench.arm();
+        let course = bench.run(&paper_steps().unwrap());
+        let mut from = 0.0;
+        let statics = freerig::control::static_map::StaticMap::of_model(&free, 1.6).unwrap();
+        for (i, to) in [50f64, 20.0, 80.0].into_iter().enumerate() {
+            let (from_rad, to_rad) = (from * 1f64.to_radians(), to.to_radians());
+            let start = 3.0 * i as f64;
+            let (over, settled) = course.step(start, start + 2.99, from_rad, to_rad);
+            let best = best_settling((statics.pressure(to_rad) - statics.pressure(from_rad)).abs());
+            println!("seed {seed}: to {to}: overshoot {:.2} %, settled {settled:.3} s, best {best:.3} s", 100.0 * over);
+            assert!(over <= 0.02 && settled <= 1.5 * best, "{seed} {to}: {over} {settled} {best}");
+            from = to;
+        }
+    }
+}
+
+/// How fast the regulator alone comes within 2 % of a pressure `change` (Pa): dead time, then its slew limit as long
+/// as that binds, then its lag. The FREE's own relaxation is not granted on top.
+fn best_settling(change: f64) -> f64 {
+    let (slew, lag) = (30.0 * PSI, 0.06);
+    let slewing = ((change - slew * lag) / (slew * lag)).max(0.0) * lag;
+    let left = change.min(slew * lag);
+    0.015 + slewing + lag * (left / (0.02 * change)).ln()
+}
+
+#[test]
+fn two_hundred_plants_that_are_not_the_model_stay_stable() {
+    let nominal = plant(Free::paper(), 0.0, 1);
+    let (free, hysteresis) = calibrated(&nominal, 1);
+    let control = model_config(free, ModelSpec { hysteresis, statics: None });
+    let (mut all, mut faulted) = (Vec::new(), 0);
+    for seed in 0..200 {
+        let plant = off_by_a_fifth(seed);
+        let mut bench = Bench::new(&control, &plant);
+        bench.arm();
+        let course = bench.run(&paper_trajectory().unwrap());
+        if course.state != State::Track { let r = &course.records.iter().find(|r| r.state != State::Track).unwrap(); println!("{seed} {:?} {:?} {:?}", r.program_time, r.frees[0].faults, plant.plants[0].nominal); faulted += 1; continue; }
+        // Stable: nothing swings at the end of the last hold, when the moves are long over.
+        let tail = &course.samples[course.samples.len() - 250..];
+        let (low, high) = tail.iter().fold((f64::MAX, f64::MIN), |(a, b), s| (a.min(s.2), b.max(s.2)));
+        assert!((high - low).to_degrees() < 1.0, "seed {seed}: swings by {} deg", (high - low).to_degrees());
+        all.push(course.errors().0);
+    }
+    all.sort_by(f64::total_cmp);
+    println!("RMS over 200 plants: median {:.2}, 95 % {:.2}, worst {:.2} deg", all[100], all[all.len()*95/100], all[all.len()-1]);
+    println!("{faulted}"); assert!(all[100] < 1.0 && all[all.len()-1] < 3.0, "{} {}", all[100], all[all.len()-1]);
+}
