@@ -542,9 +542,7 @@ impl Channel {
 impl Forward {
     fn new(free: &FreeControl, tick: f64) -> Result<Self, ControlError> {
         match &free.controller {
-            ControllerKind::Pid => {
-                Ok(Self::Linear(Feedforward::new(free.free, &free.regulator, free.feedforward)))
-            }
+            ControllerKind::Pid => Ok(Self::Linear(Feedforward::new(free.free, &free.regulator, free.feedforward))),
             ControllerKind::Model(spec) => ModelFollowing::new(free, spec, tick)
                 .map(|model| Self::Model(Box::new(model)))
                 .map_err(|problem| ControlError::Model { free: free.name.clone(), problem }),

@@ -29,14 +29,7 @@ pub const DERIVATIVE_FILTER: f64 = 20.0;
 
 /// Gains for `free` behind `regulator` and `imu` at a tick of `period`.
 pub fn default_gains(free: &Free, regulator: &RegulatorChannel, imu: &ImuChannel, period: Duration) -> Gains {
-    let lag = regulator.lag.as_secs_f64();
-    let pole = slow_pole(free).unwrap_or(0.0);
-    let shape = |integral: f64| Gains {
-        proportional: integral * (lag + pole),
-        integral,
-        derivative: integral * lag * pole,
-        derivative_filter: DERIVATIVE_FILTER,
-    };
+    let shape = |integral: f64| shape(free, regulator, integral);
     let good = |gains: &Gains| {
         let this = Loop::new(free, gains, regulator, imu, period);
         let margins = this.frequency_margins();
@@ -56,6 +49,18 @@ pub fn default_gains(free: &Free, regulator: &RegulatorChannel, imu: &ImuChannel
     // know, and the gain margin is a factor on all gains.
     let exact = Loop::new(free, &best, regulator, imu, period).margin();
     if exact.gain_margin < GAIN_MARGIN { shape(best.integral * exact.gain_margin / GAIN_MARGIN) } else { best }
+}
+
+/// Gains with both zeros on the slow poles, by the integral one (Pa/(rad s)).
+pub fn shape(free: &Free, regulator: &RegulatorChannel, integral: f64) -> Gains {
+    let lag = regulator.lag.as_secs_f64();
+    let pole = slow_pole(free).unwrap_or(0.0);
+    Gains {
+        proportional: integral * (lag + pole),
+        integral,
+        derivative: integral * lag * pole,
+        derivative_filter: DERIVATIVE_FILTER,
+    }
 }
 
 /// Time constant of an overdamped FREE's slow pole, s; `None` if it rings.

@@ -13,8 +13,10 @@ pub mod model_following;
 pub mod pid;
 pub mod refusal;
 pub mod replay;
+pub mod root_locus;
 pub mod shaper;
 pub mod static_map;
+pub mod tune;
 
 pub use controller::{ControlError, Controller};
 pub use design::default_gains;

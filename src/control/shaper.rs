@@ -41,14 +41,8 @@ impl Quintic {
     pub fn new(start: Motion, duration: f64) -> Self {
         let t = duration;
         let [d, v, a] = [start[0], start[1] * t, start[2] * t * t];
-        let coefficients = [
-            d,
-            v,
-            0.5 * a,
-            -10.0 * d - 6.0 * v - 1.5 * a,
-            15.0 * d + 8.0 * v + 1.5 * a,
-            -6.0 * d - 3.0 * v - 0.5 * a,
-        ];
+        let coefficients =
+            [d, v, 0.5 * a, -10.0 * d - 6.0 * v - 1.5 * a, 15.0 * d + 8.0 * v + 1.5 * a, -6.0 * d - 3.0 * v - 0.5 * a];
         Self { duration, coefficients }
     }
 

@@ -24,7 +24,9 @@ pub enum StaticMapError {
     #[error("the FREE has no equilibrium between 0 and {:.2} deg", .0.to_degrees())]
     Range(f64),
     /// Too few measured points, or all at one angle.
-    #[error("{0} measured points between 2 deg and the end of the table; at least {POINTS_MIN} at different angles are needed")]
+    #[error(
+        "{0} measured points between 2 deg and the end of the table; at least {POINTS_MIN} at different angles are needed"
+    )]
     Points(usize),
 }
 
