@@ -48,7 +48,7 @@ impl Quintic {
 
     /// The difference `t` seconds after its start.
     pub fn at(&self, t: f64) -> Motion {
-        if !(t < self.duration) {
+        if t.is_nan() || t >= self.duration {
             return [0.0; 3];
         }
         let u = (t / self.duration).max(0.0);

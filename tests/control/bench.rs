@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use freerig::clock::Time;
+use freerig::control::static_map::StaticMap;
 use freerig::control::{ControlConfig, Controller, ControllerKind, FreeControl, ModelSpec, Request, TickInput};
 use freerig::model::{ELEMENTS, Free, Hysteresis, HysteresisState, Kinematics, Law, Lumped};
 use freerig::signal::*;
@@ -193,7 +194,7 @@ pub fn with_model(free: Free, spec: ModelSpec) -> ControlConfig {
 }
 
 /// What a calibration brings: every parameter off by as much as an identification errs, and hysteresis weights fitted to a slow staircase of the
-/// very plant (0 to 6 psi and nested loops), by non-negative least squares over a grid of thresholds that is not the plant's.
+/// very plant (0 to 80 deg and nested loops), by non-negative least squares over a grid of thresholds that is not the plant's.
 pub fn calibrated(bench: &BenchConfig, seed: u64) -> (Free, Hysteresis) {
     let mut plant = Plant::new(bench);
     let mut rng = Pcg64::seed_from_u64(seed);
@@ -206,7 +207,9 @@ pub fn calibrated(bench: &BenchConfig, seed: u64) -> (Free, Hysteresis) {
         ..exact
     };
     let model = Lumped::new(free, Law::Nonlinear(Kinematics::Exact)).unwrap();
-    let top = 6.0;
+    // As far up as the experiments go: 80 deg.
+    let top = StaticMap::of_model(&exact, 1.4).unwrap().pressure(1.4) / PSI;
+    let direction = exact.direction();
     let course = [0.0, top, 0.0, top, 0.5 * top, 0.8 * top, 0.3 * top, top, 0.0];
     let (mut time, mut points) = (Time::ZERO, Vec::new());
     for leg in course.windows(2) {
@@ -219,7 +222,8 @@ pub fn calibrated(bench: &BenchConfig, seed: u64) -> (Free, Hysteresis) {
             // A second of readings at 100 Hz.
             let angle = truth.angle + noise * 0.05f64.to_radians() / 8.0;
             let act = model.actuation(truth.extension, angle).unwrap();
-            points.push((angle, act.moment * psi * PSI - free.torsional_stiffness * angle));
+            let moment = act.moment * psi * PSI - free.torsional_stiffness * angle;
+            points.push((direction * angle, direction * moment));
         }
     }
     let highest = points.iter().fold(0.0, |a: f64, p| a.max(p.0));
@@ -272,4 +276,17 @@ pub fn off_by_a_fifth(seed: u64) -> BenchConfig {
     sim.regulator.slew = off(sim.regulator.slew);
     bench.imu.delay = bench.imu.delay.mul_f64(off(1.0));
     bench
+}
+
+impl Bench {
+    /// Down, and back to Disarmed.
+    pub fn disarm(&mut self) {
+        self.tick(Some(Request::Disarm));
+        for _ in 0..5000 {
+            if self.tick(None).state == State::Disarmed {
+                return;
+            }
+        }
+        panic!("not disarmed: {:?}", self.last);
+    }
 }

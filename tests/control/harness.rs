@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use freerig::clock::Time;
 use freerig::control::{
-    ControlConfig, Controller, ControllerKind, DerivativeOn, FreeControl, Gains, ImuChannel, Limits, RegulatorChannel, Request,
-    TickInput,
+    ControlConfig, Controller, ControllerKind, DerivativeOn, FreeControl, Gains, ImuChannel, Limits, RegulatorChannel,
+    Request, TickInput,
 };
 use freerig::model::Free;
 use freerig::signal::*;

@@ -1,7 +1,8 @@
 //! One full cycle of ticks, boot to fault and vent, under an allocation guard: the tick allocates and frees nothing.
 
 use assert_no_alloc::assert_no_alloc;
-use freerig::control::{Gains, Request};
+use freerig::control::{ControllerKind, FreeControl, Gains, ModelSpec, Request};
+use freerig::model::{ELEMENTS, Hysteresis};
 use freerig::signal::State;
 use freerig::trajectory::Sequence;
 
@@ -9,9 +10,13 @@ use crate::harness::*;
 
 #[test]
 fn a_cycle_of_arming_tracking_faulting_and_venting_allocates_nothing() {
-    let mut rig = Rig::new(&config(vec![free_control(-40.0), free_control(40.0)]));
+    // One FREE under the model, with a step in its program, one under the PID.
+    let spec = ModelSpec { hysteresis: Hysteresis::new([0.1; ELEMENTS], [1e-3; ELEMENTS]).unwrap(), statics: None };
+    let model = FreeControl { controller: ControllerKind::Model(spec), ..free_control(-40.0) };
+    let mut rig = Rig::new(&config(vec![model, free_control(40.0)]));
     rig.plant = true;
-    let program = angle_program(Sequence::starting_at(0.0).cubic_in_slot(0.5, 1.0, 2.0).build().unwrap());
+    let program =
+        angle_program(Sequence::starting_at(0.0).cubic_in_slot(0.5, 1.0, 1.5).step(0.4, 0.5).build().unwrap());
     let start = |identify| Request::Start { program: program.clone(), attended: false, identify };
     let gains = Gains { proportional: 1e4, integral: 1e5, derivative: 100.0, derivative_filter: 10.0 };
     let mut requests = [

@@ -1,9 +1,11 @@
 //! The closed loop: it follows, engages and changes gains without a bump, for L and R FREEs; and it can be replayed.
 
+use std::sync::Arc;
+
 use freerig::control::replay::{Carried, Replay};
-use freerig::control::{Gains, Request, default_gains};
+use freerig::control::{ControllerKind, FreeControl, Gains, ModelSpec, Request, default_gains};
 use freerig::signal::*;
-use freerig::trajectory::{Sequence, Shape, paper_trajectory};
+use freerig::trajectory::{Axis, Program, Sequence, Shape, paper_trajectory};
 
 use crate::harness::*;
 
@@ -121,7 +123,8 @@ fn a_hold_for_the_imu_freezes_the_terms() {
 fn a_replay_from_arming_or_from_hold_gives_the_commands_again_bit_for_bit() {
     let mut free = free_control(-40.0);
     free.feedforward = 0.7;
-    let config = config(vec![free, free_control(40.0)]);
+    let model = FreeControl { controller: ControllerKind::Model(ModelSpec::default()), ..free_control(40.0) };
+    let config = config(vec![free, model]);
     let mut rig = Rig::new(&config);
     rig.plant = true;
     rig.run_for(0.051);
@@ -129,7 +132,9 @@ fn a_replay_from_arming_or_from_hold_gives_the_commands_again_bit_for_bit() {
     rig.devices[0].angle = 0.4;
     rig.arm();
     let armed = rig.records.len() - 1;
-    let program = angle_program(cubic(0.7, 1.5, 4.0));
+    let axis = |sequence| Axis { quantity: Quantity::Angle, sequence };
+    let step = Sequence::starting_at(0.0).step(-0.3, 4.0).build().unwrap();
+    let program = Arc::new(Program::new([(0, axis(cubic(0.7, 1.5, 4.0))), (1, axis(step))]).unwrap());
     rig.start(program.clone(), true);
     let gains = Gains { proportional: 10e3, integral: 100e3, derivative: 500.0, derivative_filter: 5.0 };
     for k in 0..1400u32 {
