@@ -10,7 +10,8 @@
 //! ```
 //!
 //! P_static and a are the table of [`super::static_map`], M_h is the Maxwell-slip moment of [`crate::model::Hysteresis`]
-//! that moves along with the reference, from rest at the program's start.
+//! that moves along with the reference, from the tare. There the sliders stand as a full cycle has left them, and the
+//! FREE a little beyond its untouched zero; a FREE that has never been pressurised (`virgin`) begins untouched.
 //!
 //! **Feedback.** If the model is right the angle *is* the shaped reference. So the PID compares the estimate with the
 //! estimate that this reference would give: the reference as it was when the present reading was taken, `age` ago,
@@ -53,6 +54,9 @@ pub struct ModelFollowing {
     slew: (f64, f64),
     /// Shortest move, s.
     shortest: f64,
+    /// Angle at the tare against the untouched FREE, rad in its own direction: what a cycle leaves behind.
+    zero: f64,
+    at_tare: HysteresisState,
     state: HysteresisState,
     shaper: Shaper,
     /// Pressure that the FREE is to have after the command before, Pa.
@@ -75,6 +79,13 @@ impl ModelFollowing {
         let held = (regulator.period.as_secs_f64() - tick).max(0.0);
         let (omega, ratio) = (f.natural_frequencies().1, f.damping_ratios().1);
         let period = if ratio < 1.0 { std::f64::consts::TAU / (omega * (1.0 - ratio * ratio).sqrt()) } else { 0.0 };
+        let mut at_tare = HysteresisState::default();
+        let mut zero = 0.0;
+        if !spec.virgin {
+            at_tare = HysteresisState::turned_to(&spec.hysteresis, statics.highest());
+            zero = spec.hysteresis.angle(&at_tare, f.torsional_stiffness, 0.0);
+            spec.hysteresis.advance(&mut at_tare, zero);
+        }
         Ok(Self {
             statics,
             hysteresis: spec.hysteresis,
@@ -88,7 +99,9 @@ impl ModelFollowing {
             slew: (SHARE * limits.slew, SHARE * regulator.fastest_fill),
             // An overdamped FREE has no period: two ticks are a jump still.
             shortest: (PERIODS * period).max(2.0 * tick),
-            state: HysteresisState::default(),
+            zero,
+            at_tare,
+            state: at_tare,
             shaper: Shaper::default(),
             pressure: 0.0,
             past: Past::at_rest(0.0),
@@ -105,12 +118,13 @@ impl ModelFollowing {
     pub fn engage(&mut self, first: &Reference, estimate: &Estimate) -> f64 {
         let position = self.direction * first.position;
         let at = self.direction * estimate.angle;
-        self.state = HysteresisState::turned_to(&self.hysteresis, if at.is_finite() { at } else { 0.0 });
+        self.state = self.at_tare;
+        // Straight from the tare to where it is; an angle that is no number moves nothing.
+        self.hysteresis.advance(&mut self.state, self.zero + at);
         self.shaper = Shaper::at_rest(position);
         self.past = Past::at_rest(position);
         self.twin = position;
-        self.hysteresis.advance(&mut self.state, position);
-        self.pressure = self.needed([position, 0.0, 0.0], self.hysteresis.moment(&self.state, position));
+        self.pressure = self.turned([position, 0.0, 0.0]);
         self.pressure
     }
 
@@ -125,8 +139,7 @@ impl ModelFollowing {
         let mut shaper = self.shaper;
         let motion = shaper.step(wanted, dt, self.shortest, |program, quintic| self.feasible(program, quintic));
         self.shaper = shaper;
-        self.hysteresis.advance(&mut self.state, motion[0]);
-        let needed = self.needed(motion, self.hysteresis.moment(&self.state, motion[0]));
+        let needed = self.turned(motion);
         let share = if self.lag > 0.0 { -(-dt / self.lag).exp_m1() } else { 1.0 };
         let command = self.pressure + (needed - self.pressure) / share;
         self.pressure = needed;
@@ -155,10 +168,17 @@ impl ModelFollowing {
         Reference { quantity: Quantity::Angle, position: d * self.twin, rate: d * rate, acceleration: 0.0 }
     }
 
+    /// Moves the sliders along; returns the pressure that the motion needs, Pa.
+    fn turned(&mut self, motion: Motion) -> f64 {
+        let angle = self.zero + motion[0];
+        self.hysteresis.advance(&mut self.state, angle);
+        self.needed(motion, self.hysteresis.moment(&self.state, angle))
+    }
+
     /// Pressure that the motion needs, Pa, with `moment` of hysteresis.
     fn needed(&self, [position, rate, acceleration]: Motion, moment: f64) -> f64 {
         let torque = self.damping * rate + self.inertia * acceleration + moment;
-        self.statics.pressure(position) + torque / self.statics.moment(position)
+        self.statics.pressure(self.zero + position) + torque / self.statics.moment(self.zero + position)
     }
 
     /// Whether regulator and limits allow the program, going on as in `program`, plus `difference`.

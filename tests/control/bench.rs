@@ -81,6 +81,8 @@ pub struct Bench {
     input: TickInput,
     command: f64,
     last: State,
+    /// True angle at the tare, rad: where this session's zero is.
+    zero: f64,
 }
 
 impl Bench {
@@ -107,6 +109,7 @@ impl Bench {
             },
             command: 0.0,
             last: State::Boot,
+            zero: 0.0,
         }
     }
 
@@ -165,6 +168,7 @@ impl Bench {
         assert_eq!(self.tick(Some(Request::Arm)).refusal, Refusal::NONE);
         for _ in 0..500 {
             if self.tick(None).state == State::Hold {
+                self.zero = self.plant.truth(0, self.input.time).angle;
                 return;
             }
         }
@@ -179,7 +183,7 @@ impl Bench {
         let mut request = Some(Request::Start { program, attended: false, identify: false });
         for _ in 0..ticks {
             let record = self.tick(request.take());
-            let truth = self.plant.truth(0, self.input.time).angle;
+            let truth = self.plant.truth(0, self.input.time).angle - self.zero;
             course.samples.push((record.program_time, record.frees[0].reference.position, truth));
             course.records.push(record);
         }

@@ -30,7 +30,7 @@ fn the_papers_trajectory_is_followed_to_a_tenth_of_a_degree() {
     for seed in 1..=6 {
         let plant = plant(Free::paper(), 0.03, seed);
         let (free, hysteresis) = calibrated(&plant, seed);
-        let control = model_config(free, ModelSpec { hysteresis, statics: None });
+        let control = model_config(free, ModelSpec { hysteresis, statics: None, virgin: true });
         let mut bench = Bench::new(&control, &plant);
         bench.arm();
         let course = bench.run(&paper_trajectory().unwrap());
@@ -60,7 +60,7 @@ fn steps_settle_nearly_as_fast_as_the_regulator_allows_and_hardly_overshoot() {
     for seed in 1..=6 {
         let plant = plant(Free::paper(), 0.03, seed);
         let (free, hysteresis) = calibrated(&plant, seed);
-        let control = model_config(free, ModelSpec { hysteresis, statics: None });
+        let control = model_config(free, ModelSpec { hysteresis, statics: None, virgin: true });
         let mut bench = Bench::new(&control, &plant);
         bench.arm();
         let course = bench.run(&paper_steps().unwrap());
@@ -91,7 +91,7 @@ fn best_settling(change: f64) -> f64 {
 fn two_hundred_plants_that_are_not_the_model_stay_stable() {
     let nominal = plant(Free::paper(), 0.0, 1);
     let (free, hysteresis) = calibrated(&nominal, 1);
-    let control = model_config(free, ModelSpec { hysteresis, statics: None });
+    let control = model_config(free, ModelSpec { hysteresis, statics: None, virgin: true });
     let (mut all, mut worst) = (Vec::new(), 0);
     for seed in 0..200 {
         let plant = off_by_a_fifth(seed);
@@ -117,12 +117,14 @@ fn two_hundred_plants_that_are_not_the_model_stay_stable() {
 fn a_free_that_has_been_cycled_before_is_followed_nearly_as_well() {
     let plant = plant(Free::paper(), 0.03, 4);
     let (free, hysteresis) = calibrated(&plant, 4);
-    let control = model_config(free, ModelSpec { hysteresis, statics: None });
+    let control = model_config(free, ModelSpec { hysteresis, ..ModelSpec::default() });
     let mut bench = Bench::new(&control, &plant);
     for round in 0..3 {
         bench.arm();
         let (rms, peak) = bench.run(&paper_trajectory().unwrap()).errors();
         println!("round {round}: RMS {rms:.3}, peak {peak:.3} deg");
+        // The first round is the one that cycles it.
+        assert!(round == 0 || rms <= 0.12 && peak <= 0.5, "{round}: {rms} {peak}");
         bench.disarm();
     }
 }
@@ -141,7 +143,7 @@ fn shaped_steps_leave_a_ringing_free_quiet_even_where_its_mode_is_off() {
         let mut plant = plant(ringing(), 0.0, 5);
         let (free, hysteresis) = calibrated(&plant, 5);
         plant.plants[0].nominal.inertia *= off * off;
-        let control = model_config(free, ModelSpec { hysteresis, statics: None });
+        let control = model_config(free, ModelSpec { hysteresis, statics: None, virgin: true });
         let mut bench = Bench::new(&control, &plant);
         bench.arm();
         let course = bench.run(&paper_steps().unwrap());
@@ -150,6 +152,8 @@ fn shaped_steps_leave_a_ringing_free_quiet_even_where_its_mode_is_off() {
         for (i, to) in [50f64, 20.0, 80.0].into_iter().enumerate() {
             let start = 3.0 * i as f64;
             let (over, settled) = course.step(start, start + 2.99, from.to_radians(), to.to_radians());
+            // Bounds at 20 % off are those of the mode's residual; the hysteresis moves less than the step's 2 %.
+            assert!(over <= if off == 1.0 { 0.02 } else { 0.04 } && settled < 0.7, "{off} {to}: {over} {settled}");
             println!("period x {off}: to {to}: overshoot {:.2} %, settled {settled:.3} s", 100.0 * over);
             from = to;
         }
@@ -161,7 +165,7 @@ fn an_r_free_is_followed_as_well_as_an_l_free() {
     let right = Free { gamma: -Free::paper().gamma, ..Free::paper() };
     let plant = plant(right, 0.0, 6);
     let (free, hysteresis) = calibrated(&plant, 6);
-    let mut control = model_config(free, ModelSpec { hysteresis, statics: None });
+    let mut control = model_config(free, ModelSpec { hysteresis, statics: None, virgin: true });
     control.frees[0].limits.angle_soft = (-1.6, 0.3);
     let mut bench = Bench::new(&control, &plant);
     bench.arm();
@@ -181,7 +185,7 @@ fn a_static_map_brought_to_measured_points_replaces_an_exact_geometry() {
     let free = Free { torsional_damping: real.torsional_damping, ..Free::paper() };
     let nominal = StaticMap::of_model(&free, 1.6).unwrap();
     let statics = Some(nominal.corrected(&points).unwrap());
-    let control = model_config(free, ModelSpec { hysteresis, statics });
+    let control = model_config(free, ModelSpec { hysteresis, statics, virgin: true });
     let mut bench = Bench::new(&control, &plant);
     bench.arm();
     let (rms, peak) = bench.run(&paper_trajectory().unwrap()).errors();

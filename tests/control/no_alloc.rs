@@ -11,7 +11,8 @@ use crate::harness::*;
 #[test]
 fn a_cycle_of_arming_tracking_faulting_and_venting_allocates_nothing() {
     // One FREE under the model, with a step in its program, one under the PID.
-    let spec = ModelSpec { hysteresis: Hysteresis::new([0.1; ELEMENTS], [1e-3; ELEMENTS]).unwrap(), statics: None };
+    let spec =
+        ModelSpec { hysteresis: Hysteresis::new([0.1; ELEMENTS], [1e-3; ELEMENTS]).unwrap(), ..ModelSpec::default() };
     let model = FreeControl { controller: ControllerKind::Model(spec), ..free_control(-40.0) };
     let mut rig = Rig::new(&config(vec![model, free_control(40.0)]));
     rig.plant = true;
