@@ -11,13 +11,12 @@ use thiserror::Error;
 
 use super::estimator::{Estimator, Reading};
 use super::fault::Reaction;
-use super::feedforward::Feedforward;
+use super::forward::{Forward, derivative_on};
 use super::interlocks::{FreeInterlocks, HEARTBEAT_MAX, LateTicks, STALL_MAX, Seen, Vented, Verdict, reached};
 use super::lifecycle::{Faulting, Mode, Phase, Sight};
-use super::model_following::ModelFollowing;
 use super::pid::{Band, Pid};
 use super::static_map::StaticMapError;
-use super::{ControlConfig, ControllerKind, DerivativeOn, FreeControl, Gains, Limits, Request, TickInput};
+use super::{ControlConfig, FreeControl, Gains, Limits, Request, TickInput};
 use crate::clock::Time;
 use crate::signal::{
     Command, Estimate, FaultCode, FreeTick, LimitSet, MAX_FREES, Quantity, Reference, Refusal, RefusalCode,
@@ -69,13 +68,6 @@ struct Channel {
     estimator: Option<Estimator>,
     interlocks: FreeInterlocks,
     command: f64,
-}
-
-/// What is sent ahead of the PID.
-#[derive(Clone, Debug)]
-enum Forward {
-    Linear(Feedforward),
-    Model(Box<ModelFollowing>),
 }
 
 /// What became of one FREE in this tick, before the command.
@@ -501,10 +493,7 @@ impl Channel {
     fn engage(&mut self, reference: &Reference, estimate: &Estimate) {
         self.pid.reset();
         if reference.quantity == Quantity::Angle {
-            let feedforward = match &mut self.forward {
-                Forward::Linear(feedforward) => feedforward.pressure(reference),
-                Forward::Model(model) => model.engage(reference, estimate),
-            };
+            let feedforward = self.forward.engage(reference, estimate);
             self.pid.engage(reference, estimate, feedforward, self.command, self.limits.pressure_max);
         }
     }
@@ -521,10 +510,7 @@ impl Channel {
             Wish::Keep => (self.command, self.command, LimitSet::default()),
             Wish::Freeze => (self.command, self.command, LimitSet::INTEGRATOR_HELD),
             Wish::Follow(reference, ahead) if angle && estimate.valid => {
-                let (reference, feedforward) = match &mut self.forward {
-                    Forward::Linear(feedforward) => (reference, feedforward.pressure(&reference)),
-                    Forward::Model(model) => model.step(&ahead, estimate, dt),
-                };
+                let (reference, feedforward) = self.forward.step(&reference, &ahead, estimate, dt);
                 self.pid.step(&reference, estimate, feedforward, &band, dt)
             }
             // The first reading after the tare is not here yet.
@@ -536,41 +522,6 @@ impl Channel {
         };
         self.command = command;
         (wanted, limits)
-    }
-}
-
-impl Forward {
-    fn new(free: &FreeControl, tick: f64) -> Result<Self, ControlError> {
-        match &free.controller {
-            ControllerKind::Pid => Ok(Self::Linear(Feedforward::new(free.free, &free.regulator, free.feedforward))),
-            ControllerKind::Model(spec) => ModelFollowing::new(free, spec, tick)
-                .map(|model| Self::Model(Box::new(model)))
-                .map_err(|problem| ControlError::Model { free: free.name.clone(), problem }),
-        }
-    }
-
-    /// What the feedback compares the estimate with, where the program's reference is `reference`.
-    fn compared_with(&self, reference: Reference) -> Reference {
-        match self {
-            Self::Linear(_) => reference,
-            Self::Model(model) => model.compared_with(),
-        }
-    }
-
-    /// How far ahead it looks, s.
-    fn lead(&self) -> Option<f64> {
-        match self {
-            Self::Linear(_) => None,
-            Self::Model(model) => Some(model.lead()),
-        }
-    }
-}
-
-fn derivative_on(free: &FreeControl) -> DerivativeOn {
-    match free.controller {
-        ControllerKind::Pid => free.derivative_on,
-        // The model moves, and so does what the derivative compares with.
-        ControllerKind::Model(_) => DerivativeOn::Error,
     }
 }
 

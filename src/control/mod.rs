@@ -6,6 +6,7 @@ pub mod design;
 pub mod estimator;
 pub mod fault;
 pub mod feedforward;
+pub mod forward;
 pub mod interlocks;
 pub mod lifecycle;
 pub mod margin;

@@ -20,7 +20,7 @@
 //! feedback closes is that of [`super::margin`], unchanged: the feedforward does not look at the angle.
 //!
 //! **Cost.** A tick reads the table twice and moves eight sliders. A jump of the reference costs at most 13 trials of
-//! [`GRID`] points, once. Nothing allocates.
+//! `GRID` points, once. Nothing allocates.
 
 use crate::model::{Hysteresis, HysteresisState};
 use crate::signal::{Estimate, Quantity, Reference};

@@ -34,7 +34,7 @@ pub struct LocusPoint {
     pub extended: Vec<Complex<f64>>,
 }
 
-/// The loop as polynomials, lowest power first, in units of [`UNIT`].
+/// The loop as polynomials, lowest power first, in a unit of time of 20 ms.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocusLoop {
     ideal: (Vec<f64>, Vec<f64>),

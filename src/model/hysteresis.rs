@@ -217,6 +217,6 @@ mod tests {
         thresholds[1] = 0.0;
         assert_eq!(Hysteresis::new(thresholds, weights), Err(HysteresisError::Threshold(1, 0.0)));
         assert_eq!(Hysteresis::NONE.moment(&HysteresisState::default(), 1.0), 0.0);
-        assert_eq!(Hysteresis::NONE.angle(&HysteresisState::default(), 0.1, 0.05), 0.5);
+        assert!((Hysteresis::NONE.angle(&HysteresisState::default(), 0.1, 0.05) - 0.5).abs() < 1e-15);
     }
 }
