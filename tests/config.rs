@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use freerig::config::calibration::{Entry, SCHEMA, keys};
 use freerig::config::{Backend, Calibration, ConfigError, Course, Experiment, Kind, Rig};
-use freerig::control::Gains;
+use freerig::control::{ControllerKind, Gains};
 use freerig::hardware::wiring::ImuProfile;
 use freerig::signal::Quantity;
 use freerig::units::{Angle, PASCAL_PER_PSI, Pressure};
@@ -107,7 +107,7 @@ fn the_example_writes_out_every_default() {
     let short = Rig::load(&path).unwrap_or_else(|error| panic!("{error}"));
     let mut long = Rig::load(&repository().join("rig.toml")).unwrap();
     // The two keys whose value in the example is not the default, as its comments say.
-    long.control.frees[0].feedforward = 0.0;
+    long.control.frees[0].controller = ControllerKind::Pid;
     long.control.frees[0].limits.tracking_error.0 = f64::INFINITY;
     assert_eq!(short.control, long.control);
     assert_eq!(short.wiring, long.wiring);

@@ -16,6 +16,7 @@ use super::outcome::{Outcome, Watch, degrees};
 use super::{Context, Failure, log};
 use crate::config::experiment::{Experiment, Kind};
 use crate::config::{Backend, Rig};
+use crate::control::ControllerKind;
 use crate::control::margin::{GAIN_MARGIN_MIN, margin};
 use crate::daemon::api::RunResult;
 use crate::daemon::experiment::{self, Attendance, Job};
@@ -161,9 +162,17 @@ fn trajectory(rig: &Rig, live: &Live) -> Result<RunResult, DaemonError> {
 
 fn compare(rig: &Rig, kind: Kind, gains: &str, context: &Context) -> Result<Comparison, Failure> {
     let with = |gains: Option<&str>| -> Result<RunResult, Failure> {
-        let job = Job { stepped: true, accept_margin: true, ..job(rig, kind, gains)? };
+        let mut rig = rig.clone();
+        // The published gains are meant for Eq. 5 alone.
+        if gains.is_some() {
+            rig.control.frees.iter_mut().for_each(|free| {
+                free.controller = ControllerKind::Pid;
+                free.feedforward = 0.0;
+            });
+        }
+        let job = Job { stepped: true, accept_margin: true, ..job(&rig, kind, gains)? };
         let begun = Instant::now();
-        let Outcome { runs, .. } = stepped(rig, &job)?;
+        let Outcome { runs, .. } = stepped(&rig, &job)?;
         let seconds = begun.elapsed().as_secs_f64();
         context.note(format!(
             "   {:<10} {:<21} {:.1} s of bench time in {seconds:.1} s",

@@ -7,7 +7,7 @@ use super::free::{Connection, RawFree};
 use super::load::SourceFile;
 use super::rig::{Backend, Rig};
 use super::sections::{RawRig, duration};
-use crate::control::{ControlConfig, ControllerKind, FreeControl, ImuChannel, RegulatorChannel};
+use crate::control::{ControlConfig, ControllerKind, FreeControl, ImuChannel, ModelSpec, RegulatorChannel};
 use crate::hardware::wiring::{DacChannel, DacWiring, I2cWiring, ImuWiring, SerialWiring, UnitWiring, Wiring};
 use crate::sim::{BenchConfig, ImuSim, PlantSim, RegulatorSim};
 
@@ -59,7 +59,15 @@ fn free_control(raw: &RawRig, free: &RawFree) -> FreeControl {
     FreeControl {
         name: free.name.clone(),
         free: known.free(),
-        controller: ControllerKind::Pid,
+        controller: match free.model {
+            // A real FREE has been under pressure before; the simulated one of a new rig has not.
+            true => ControllerKind::Model(ModelSpec {
+                hysteresis: known.hysteresis.unwrap_or_default(),
+                statics: None,
+                virgin: false,
+            }),
+            false => ControllerKind::Pid,
+        },
         gains: free.gains,
         derivative_on: free.derivative_on,
         feedforward: free.feedforward,

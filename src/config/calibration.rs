@@ -32,7 +32,7 @@ use super::problem::{ConfigError, Problem};
 use super::reader::{Section, Source};
 use crate::control::Gains;
 use crate::hardware::wiring::ImuProfile;
-use crate::model::Free;
+use crate::model::{ELEMENTS, Free, Hysteresis};
 
 /// Version of the schema.
 pub const SCHEMA_VERSION: i64 = 1;
@@ -127,6 +127,8 @@ pub struct Calibration {
     pub note: String,
     /// Calibration profile of the FREE's BNO055.
     pub imu_profile: Option<ImuProfile>,
+    /// Torsional hysteresis.
+    pub hysteresis: Option<Hysteresis>,
     entries: BTreeMap<&'static str, Entry>,
     gains: BTreeMap<String, Gains>,
 }
@@ -244,6 +246,11 @@ impl Calibration {
                 line(format!("{} = {}", key.name, inline(entry)));
             }
         }
+        if let Some(hysteresis) = &self.hysteresis {
+            line("\n[hysteresis]".into());
+            line(format!("thresholds_deg = {:?}", hysteresis.thresholds().map(f64::to_degrees)));
+            line(format!("weights_nm_per_rad = {:?}", hysteresis.weights()));
+        }
         for (name, gains) in &self.gains {
             line(format!("\n[gains.{}]", quoted(name)));
             for (key, value) in [
@@ -277,6 +284,10 @@ fn read(mut root: Section<'_>) -> Calibration {
             calibration.imu_profile = read_profile(&mut section);
         }
     }
+    if root.has("hysteresis") {
+        calibration.hysteresis = read_hysteresis(root.section("hysteresis"));
+    }
+    root.expect("hysteresis");
     for (name, mut section) in root.named("gains") {
         let gains = Gains {
             proportional: section.number("proportional_pa_per_rad", None, 0.0..=1e9),
@@ -323,6 +334,25 @@ fn read_entry(section: &mut Section<'_>, key: &Key) -> Option<Entry> {
         table.reject("date", "must be a date", "write it as \"2026-01-31\"");
     }
     Some(entry)
+}
+
+fn read_hysteresis(mut section: Section<'_>) -> Option<Hysteresis> {
+    let mut eight = |key: &'static str, range: RangeInclusive<f64>| -> Option<[f64; ELEMENTS]> {
+        if !section.has(key) {
+            section.require(key, "eight numbers, one for each element");
+        }
+        let numbers = section.numbers(key, range)?;
+        let eight = <[f64; ELEMENTS]>::try_from(numbers).ok();
+        if eight.is_none() {
+            let remedy = "measure the hysteresis again, or remove the whole table";
+            section.reject(key, format!("must be {ELEMENTS} numbers"), remedy);
+        }
+        eight
+    };
+    let thresholds = eight("thresholds_deg", 1e-6..=1e4);
+    let weights = eight("weights_nm_per_rad", 0.0..=1e4);
+    // Within these ranges nothing is left that it could refuse.
+    Hysteresis::new(thresholds?, weights?).ok()
 }
 
 fn read_profile(section: &mut Section<'_>) -> Option<ImuProfile> {

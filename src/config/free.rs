@@ -20,6 +20,8 @@ pub(super) struct RawFree {
     pub(super) derivative_on: DerivativeOn,
     /// 0 none, 1 all of it.
     pub(super) feedforward: f64,
+    /// Whether the FREE's model leads.
+    pub(super) model: bool,
     pub(super) imu: Option<RawImu>,
     pub(super) regulator: RawRegulator,
     pub(super) limits: Limits,
@@ -88,6 +90,12 @@ pub(super) fn read_free(
     let looks_at = [("measurement", DerivativeOn::Measurement), ("error", DerivativeOn::Error)];
     let derivative_on = section.choice("derivative_on", Some(DerivativeOn::default()), &looks_at).unwrap_or_default();
     let feedforward = section.number("feedforward_percent", 0.0, 0.0..=100.0);
+    let controllers = [("pid", false), ("model", true)];
+    let model = section.choice("controller", Some(false), &controllers).unwrap_or_default();
+    if model && section.has("feedforward_percent") {
+        let remedy = "remove it, or set `controller = \"pid\"`";
+        section.reject("feedforward_percent", "is the PID's: the model feeds all of it forward", remedy);
+    }
     let imu = section.has("imu").then(|| read_imu(section.section("imu"), i2c, earlier));
     let regulator = read_regulator(section.section("regulator"), i2c, serial, earlier);
     if let (Connection::Dac { .. }, Some(calibration)) = (&regulator.connection, &calibration)
@@ -103,7 +111,7 @@ pub(super) fn read_free(
     let limits = read_limits(section.section("limits"), &regulator);
     let twin = read_twin(section.section("sim"));
     let calibration = calibration.unwrap_or_default();
-    RawFree { name, calibration, gains, derivative_on, feedforward, imu, regulator, limits, twin }
+    RawFree { name, calibration, gains, derivative_on, feedforward, model, imu, regulator, limits, twin }
 }
 
 fn read_calibration(section: &mut Section<'_>, name: &str, library: &mut Library<'_>) -> Option<Calibration> {

@@ -1,1 +1,6 @@
-//! The floor `ident`.
+//! Fits: from recorded samples to parameters and their uncertainty. Pure functions; nothing here reads a clock or a
+//! file, and a fit that its data do not carry is refused by name.
+
+pub mod sweep;
+
+pub use sweep::{SweepError, SweepFit, fit_sweep};

@@ -7,7 +7,7 @@
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::control::{ControlConfig, DerivativeOn, FreeControl, Gains, Limits};
+use crate::control::{ControlConfig, ControllerKind, DerivativeOn, FreeControl, Gains, Limits};
 use crate::model::Free;
 use crate::signal::Quantity;
 use crate::trajectory::Program;
@@ -187,12 +187,10 @@ impl StartDocument {
         if axis.is_some_and(|a| a.quantity == Quantity::Pressure) {
             return "open loop".into();
         }
-        let FreeDocument { preset, gains: g, .. } = &self.frees[index];
-        if !preset.is_empty() {
-            return preset.clone();
-        }
+        let FreeDocument { preset, gains: g, model_leads, .. } = &self.frees[index];
         let (p, i, d) = (g.proportional_pa_per_rad, g.integral_pa_per_rad_s, g.derivative_pa_s_per_rad);
-        format!("Kp {p}, Ki {i}, Kd {d}")
+        let gains = if preset.is_empty() { format!("Kp {p}, Ki {i}, Kd {d}") } else { preset.clone() };
+        if *model_leads { format!("model, {gains}") } else { gains }
     }
 }
 
@@ -217,6 +215,9 @@ pub struct FreeDocument {
     /// Share of the inverse model that is fed forward, 0 to 1.
     #[serde(default)]
     pub feedforward: f64,
+    /// Whether its model leads (`controller = "model"`).
+    #[serde(default)]
+    pub model_leads: bool,
     /// Its limits.
     pub limits: LimitsDocument,
 }
@@ -232,6 +233,7 @@ impl FreeDocument {
             gains: free.gains.into(),
             derivative_on_error: free.derivative_on == DerivativeOn::Error,
             feedforward: free.feedforward,
+            model_leads: free.controller != ControllerKind::Pid,
             limits: free.limits.into(),
         }
     }

@@ -1,0 +1,180 @@
+//! Torsional stiffness and hysteresis from a slow staircase of pressure, up and down.
+//!
+//! At rest the moment of the pressure is borne by the spring and the Maxwell-slip elements,
+//!
+//! ```text
+//! a(phi) P = kt phi + sum w_i strain_i(phi, past)             w_i >= 0
+//! ```
+//!
+//! linear in kt and the weights w_i once the thresholds are chosen: the strains follow from the angles alone, in their
+//! order. a(phi) is the moment per pressure of the fibre kinematics (3.1) at the axial equilibrium. Non-negative least
+//! squares by coordinate descent on the normal equations, which for a convex problem of nine unknowns converges;
+//! thresholds on a grid from [`SHORTEST`] to [`LONGEST`] of the largest angle.
+//!
+//! The standard uncertainty of kt comes from the residuals and the columns that are in use, as if the residuals were
+//! independent; those of a model that is not quite right are not, so it is a lower bound where
+//! [`SweepFit::residual`] is well above the noise of a point.
+
+use nalgebra::{DMatrix, DVector};
+use thiserror::Error;
+
+use crate::model::{
+    DomainError, ELEMENTS, EquilibriumError, Free, FreeError, Hysteresis, HysteresisState, Kinematics, Law, Load,
+    Lumped,
+};
+
+/// Shortest threshold, as a share of the largest angle.
+pub const SHORTEST: f64 = 0.004;
+/// Longest threshold, as a share of the largest angle: beyond it an element could not be told from the spring.
+pub const LONGEST: f64 = 0.25;
+/// Fewest points.
+pub const POINTS_MIN: usize = 12;
+/// Smallest range of angles that says anything about a stiffness, rad: twenty times the IMU's noise.
+pub const RANGE_MIN: f64 = 0.0175;
+/// Rounds of the descent, at most, and the relative change at which it is over.
+const ROUNDS: usize = 200_000;
+const CHANGE: f64 = 1e-12;
+
+/// One point at rest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RestPoint {
+    /// Angle, rad.
+    pub angle: f64,
+    /// Pressure, Pa.
+    pub pressure: f64,
+}
+
+/// What a sweep says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SweepFit {
+    /// kt, N m/rad.
+    pub stiffness: f64,
+    /// Its standard uncertainty, N m/rad.
+    pub stiffness_uncertainty: f64,
+    /// The elements beside the spring.
+    pub hysteresis: Hysteresis,
+    /// Root mean square of what is left over, N m.
+    pub residual: f64,
+    /// Width of the loop: the largest difference of the angle between the way up and the way down at one pressure, as a share of the range, by the model.
+    pub points: usize,
+}
+
+/// Why there is no fit.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum SweepError {
+    /// Too few points.
+    #[error("a sweep needs at least {POINTS_MIN} points at rest, up and down; there are {0}")]
+    TooFew(usize),
+    /// A number that is none.
+    #[error("point {0} of the sweep is not finite")]
+    NotFinite(usize),
+    /// The FREE hardly turned.
+    #[error("the FREE turned by {0} rad only; at least {RANGE_MIN} rad are needed: sweep to a higher pressure")]
+    NoExcitation(f64),
+    /// Only one way.
+    #[error("the sweep never comes back: without a way down the hysteresis cannot be told from the stiffness")]
+    OneWay,
+    /// The stiffness that fits best is not positive.
+    #[error("the stiffness that fits best is {0} N m/rad: wrong winding angle, sign or radius?")]
+    NotPositive(f64),
+    /// The model has no such FREE.
+    #[error(transparent)]
+    Free(#[from] FreeError),
+    /// An angle beyond the kinematics.
+    #[error(transparent)]
+    Equilibrium(#[from] EquilibriumError),
+    /// An angle beyond the kinematics.
+    #[error(transparent)]
+    Domain(#[from] DomainError),
+    /// The descent did not end.
+    #[error("the fit did not converge within {ROUNDS} rounds")]
+    NotConverged,
+}
+
+/// Fits kt and the hysteresis of `free` (its geometry and axial parameters are taken as known) to `points` in the
+/// order in which they were taken, from the untouched FREE on.
+pub fn fit_sweep(points: &[RestPoint], free: &Free) -> Result<SweepFit, SweepError> {
+    if points.len() < POINTS_MIN {
+        return Err(SweepError::TooFew(points.len()));
+    }
+    if let Some(index) = points.iter().position(|p| !(p.angle.is_finite() && p.pressure.is_finite())) {
+        return Err(SweepError::NotFinite(index));
+    }
+    let own = free.direction();
+    let highest = points.iter().map(|p| own * p.angle).fold(0.0, f64::max);
+    if highest < RANGE_MIN {
+        return Err(SweepError::NoExcitation(highest));
+    }
+    if points.last().is_none_or(|last| own * last.angle > 0.5 * highest) {
+        return Err(SweepError::OneWay);
+    }
+    let moments = moments(points, free)?;
+    let thresholds = Hysteresis::grid(SHORTEST * highest, LONGEST * highest);
+    // Positive thresholds and weights of one: nothing that could be refused.
+    let unit = Hysteresis::new(thresholds, [1.0; ELEMENTS]).unwrap_or_default();
+    let mut state = HysteresisState::default();
+    let columns = DMatrix::from_fn(points.len(), ELEMENTS + 1, |_, _| 0.0);
+    let mut columns = columns;
+    for (row, point) in points.iter().enumerate() {
+        let x = own * point.angle;
+        unit.advance(&mut state, x);
+        columns[(row, 0)] = x;
+        for (i, strain) in unit.strains(&state, x).into_iter().enumerate() {
+            columns[(row, i + 1)] = strain;
+        }
+    }
+    let right = DVector::from_vec(moments);
+    let solution = descend(&(columns.transpose() * &columns), &(columns.transpose() * &right))?;
+    let stiffness = solution[0];
+    if stiffness <= 0.0 {
+        return Err(SweepError::NotPositive(stiffness));
+    }
+    let left = &columns * &solution - &right;
+    let used: Vec<usize> = (0..=ELEMENTS).filter(|&j| j == 0 || solution[j] > 0.0).collect();
+    let freedom = points.len().saturating_sub(used.len()).max(1) as f64;
+    let variance = left.norm_squared() / freedom;
+    let used = columns.select_columns(&used);
+    let uncertainty = (used.transpose() * &used).try_inverse().map_or(f64::INFINITY, |c| (variance * c[(0, 0)]).sqrt());
+    let weights = std::array::from_fn(|i| solution[i + 1]);
+    Ok(SweepFit {
+        stiffness,
+        stiffness_uncertainty: uncertainty,
+        hysteresis: Hysteresis::new(thresholds, weights).unwrap_or_default(),
+        residual: variance.sqrt(),
+        points: points.len(),
+    })
+}
+
+/// Moment of the pressure at each point, N m, positive in the FREE's own direction.
+fn moments(points: &[RestPoint], free: &Free) -> Result<Vec<f64>, SweepError> {
+    let model = Lumped::new(*free, Law::Nonlinear(Kinematics::Exact))?;
+    let moment = |p: &RestPoint| -> Result<f64, SweepError> {
+        let rest = model.equilibrium_at_rotation(p.angle, Load::default())?;
+        Ok(free.direction() * model.actuation(rest.extension, p.angle)?.moment * p.pressure)
+    };
+    points.iter().map(moment).collect()
+}
+
+/// Minimises x' G x / 2 - g' x with all but the first x not negative.
+fn descend(gram: &DMatrix<f64>, right: &DVector<f64>) -> Result<DVector<f64>, SweepError> {
+    let count = right.len();
+    let mut x = DVector::zeros(count);
+    for _ in 0..ROUNDS {
+        let mut change = 0.0f64;
+        for i in 0..count {
+            let diagonal = gram[(i, i)];
+            if diagonal <= 0.0 {
+                continue;
+            }
+            let others = gram.row(i).dot(&x.transpose()) - diagonal * x[i];
+            let best = (right[i] - others) / diagonal;
+            let best = if i == 0 { best } else { best.max(0.0) };
+            change = change.max((best - x[i]).abs() * diagonal.sqrt());
+            x[i] = best;
+        }
+        if change <= CHANGE * right.norm() / gram.diagonal().max().sqrt() {
+            return Ok(x);
+        }
+    }
+    Err(SweepError::NotConverged)
+}
