@@ -13,7 +13,9 @@ use crate::sim::{BenchConfig, ImuSim, PlantSim, RegulatorSim};
 
 /// Characters of one transaction with an Alicat unit: `AS5.0000\r`, its reply `A +050.42 +050.42\r`, and the 3.5
 /// idle characters that the unit needs before the next.
-const TRANSACTION_CHARACTERS: f64 = 9.0 + 18.0 + 3.5;
+const TRANSACTION_CHARACTERS: f64 = COMMAND_CHARACTERS + 18.0;
+/// From the taking of a command until the unit knows it: the idle characters and the set-point.
+const COMMAND_CHARACTERS: f64 = 3.5 + 9.0;
 /// Bits of one character on the line (8N1).
 const BITS_PER_CHARACTER: f64 = 10.0;
 /// Period at which a DAC's channels are written.
@@ -80,7 +82,9 @@ fn free_control(raw: &RawRig, free: &RawFree) -> FreeControl {
         regulator: RegulatorChannel {
             period: regulator_period(raw, free),
             lag: duration(known.value(&keys::REGULATOR_LAG).unwrap_or(NOMINAL_LAG)),
-            dead_time: duration(known.value(&keys::REGULATOR_DEAD_TIME).unwrap_or(NOMINAL_DEAD_TIME)),
+            dead_time: duration(
+                transport(raw, free) + known.value(&keys::REGULATOR_DEAD_TIME).unwrap_or(NOMINAL_DEAD_TIME),
+            ),
             fastest_fill: known.value(&keys::FASTEST_FILL).unwrap_or(NOMINAL_FILL),
             full_scale: free.regulator.full_scale,
             measures: matches!(free.regulator.connection, Connection::Alicat { .. }),
@@ -95,8 +99,22 @@ fn regulator_period(raw: &RawRig, free: &RawFree) -> Duration {
         .frees
         .iter()
         .filter(|other| matches!(&other.regulator.connection, Connection::Alicat { line: of, .. } if of == line));
+    duration(units.count() as f64 * TRANSACTION_CHARACTERS * character(raw, line))
+}
+
+/// From the taking of a command to its arrival, s.
+fn transport(raw: &RawRig, free: &RawFree) -> f64 {
+    match &free.regulator.connection {
+        Connection::Alicat { line, .. } => COMMAND_CHARACTERS * character(raw, line),
+        // A few bytes at 100 kHz or more.
+        Connection::Dac { .. } | Connection::Unknown => 0.0,
+    }
+}
+
+/// Time of one character on a line, s.
+fn character(raw: &RawRig, line: &str) -> f64 {
     let baud = raw.serial.iter().find(|serial| serial.name == *line).map_or(19200, |serial| serial.baud);
-    duration(units.count() as f64 * TRANSACTION_CHARACTERS * BITS_PER_CHARACTER / f64::from(baud))
+    BITS_PER_CHARACTER / f64::from(baud)
 }
 
 fn wiring(raw: &RawRig) -> Wiring {

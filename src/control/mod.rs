@@ -115,7 +115,7 @@ pub struct RegulatorChannel {
     pub period: Duration,
     /// First-order lag.
     pub lag: Duration,
-    /// Dead time.
+    /// Dead time, the command's way over the line included.
     pub dead_time: Duration,
     /// Fastest rise the regulator can make, Pa/s.
     pub fastest_fill: f64,

@@ -55,7 +55,7 @@ pub struct SweepFit {
     pub hysteresis: Hysteresis,
     /// Root mean square of what is left over, N m.
     pub residual: f64,
-    /// Width of the loop: the largest difference of the angle between the way up and the way down at one pressure, as a share of the range, by the model.
+    /// Points that were used.
     pub points: usize,
 }
 
@@ -113,8 +113,7 @@ pub fn fit_sweep(points: &[RestPoint], free: &Free) -> Result<SweepFit, SweepErr
     // Positive thresholds and weights of one: nothing that could be refused.
     let unit = Hysteresis::new(thresholds, [1.0; ELEMENTS]).unwrap_or_default();
     let mut state = HysteresisState::default();
-    let columns = DMatrix::from_fn(points.len(), ELEMENTS + 1, |_, _| 0.0);
-    let mut columns = columns;
+    let mut columns = DMatrix::zeros(points.len(), ELEMENTS + 1);
     for (row, point) in points.iter().enumerate() {
         let x = own * point.angle;
         unit.advance(&mut state, x);
@@ -177,4 +176,75 @@ fn descend(gram: &DMatrix<f64>, right: &DVector<f64>) -> Result<DVector<f64>, Sw
         }
     }
     Err(SweepError::NotConverged)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PSI: f64 = 6894.757293168;
+
+    fn truth() -> Hysteresis {
+        let thresholds = [0.006, 0.013, 0.03, 0.05, 0.09, 0.14, 0.2, 0.31];
+        let weights = [0.02, 0.01, 0.012, 0.0, 0.008, 0.004, 0.0, 0.002];
+        Hysteresis::new(thresholds, weights).unwrap()
+    }
+
+    /// The staircase of a FREE with `stiffness` and elements that are not on the fit's grid, with `noise` (rad) in turn
+    /// up and down.
+    fn sweep(free: &Free, stiffness: f64, noise: f64) -> Vec<RestPoint> {
+        let (hysteresis, mut state) = (truth(), HysteresisState::default());
+        let model = Lumped::new(*free, Law::Nonlinear(Kinematics::Exact)).unwrap();
+        let own = free.direction();
+        let mut angles: Vec<f64> = (0..=40).map(|i| 0.03 * f64::from(i)).collect();
+        angles.extend((0..40).rev().map(|i| 0.03 * f64::from(i)));
+        let mut points = Vec::new();
+        for (i, x) in angles.into_iter().enumerate() {
+            hysteresis.advance(&mut state, x);
+            let rest = model.equilibrium_at_rotation(own * x, Load::default()).unwrap();
+            let per_pascal = own * model.actuation(rest.extension, own * x).unwrap().moment;
+            let pressure = (stiffness * x + hysteresis.moment(&state, x)) / per_pascal;
+            let sign = if i % 2 == 0 { 1.0 } else { -1.0 };
+            points.push(RestPoint { angle: own * x + sign * noise, pressure });
+        }
+        points
+    }
+
+    #[test]
+    fn stiffness_and_loop_of_l_and_r_frees_come_back() {
+        for gamma in [-40f64, 40.0] {
+            let free = Free { gamma: gamma.to_radians(), ..Free::paper() };
+            // The stiffness is not the one that the model starts from.
+            let fit = fit_sweep(&sweep(&free, 0.093, 0.0), &free).unwrap();
+            // Thresholds on another grid: the loop is piecewise linear, and so is what is left over.
+            assert!((fit.stiffness / 0.093 - 1.0).abs() < 0.01, "{fit:?}");
+            let hysteresis = truth();
+            assert!((fit.hysteresis.saturation() / hysteresis.saturation() - 1.0).abs() < 0.1, "{fit:?}");
+            assert!(fit.residual < 0.02 * hysteresis.saturation(), "{fit:?}");
+        }
+    }
+
+    #[test]
+    fn noise_shows_in_the_uncertainty() {
+        let free = Free::paper();
+        let quiet = fit_sweep(&sweep(&free, 0.086, 1e-5), &free).unwrap();
+        let noisy = fit_sweep(&sweep(&free, 0.086, 3e-3), &free).unwrap();
+        assert!(noisy.stiffness_uncertainty > 3.0 * quiet.stiffness_uncertainty);
+        assert!((noisy.stiffness - 0.086).abs() < 3.0 * noisy.stiffness_uncertainty + 0.01 * 0.086, "{noisy:?}");
+    }
+
+    #[test]
+    fn what_says_nothing_is_refused_by_name() {
+        let free = Free::paper();
+        let good = sweep(&free, 0.086, 0.0);
+        assert_eq!(fit_sweep(&good[..5], &free), Err(SweepError::TooFew(5)));
+        assert_eq!(fit_sweep(&good[..41], &free), Err(SweepError::OneWay));
+        let still: Vec<_> = good.iter().map(|p| RestPoint { angle: 1e-3 * p.angle, ..*p }).collect();
+        assert!(matches!(fit_sweep(&still, &free), Err(SweepError::NoExcitation(_))));
+        let mut broken = good.clone();
+        broken[7].pressure = f64::NAN;
+        assert_eq!(fit_sweep(&broken, &free), Err(SweepError::NotFinite(7)));
+        let wrong: Vec<_> = good.iter().map(|p| RestPoint { pressure: -p.pressure - PSI, ..*p }).collect();
+        assert!(matches!(fit_sweep(&wrong, &free), Err(SweepError::NotPositive(_))));
+    }
 }
