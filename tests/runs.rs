@@ -116,7 +116,10 @@ fn runs_lists_every_run_with_what_it_was() {
     let of = |run: &Run| runs.iter().find(|r| r["id"] == run.id()).unwrap();
     let own = of(&made.own);
     assert_eq!(own["kind"], "trajectory");
-    assert_eq!((&own["free"], &own["gains"], &own["note"]), (&"paper".into(), &"freerig".into(), &"own gains".into()));
+    assert_eq!(
+        (&own["free"], &own["gains"], &own["note"]),
+        (&"paper".into(), &"model, freerig".into(), &"own gains".into())
+    );
     assert_eq!((&own["result"], &own["simulated"], &own["complete"]), (&"done".into(), &true.into(), &true.into()));
     // The same figure as the metrics have it.
     let error = freerig::record::Metrics::of(&made.own).unwrap().frees[0].error.unwrap();

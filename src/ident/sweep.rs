@@ -8,8 +8,7 @@
 //!
 //! linear in kt and the weights w_i once the thresholds are chosen: the strains follow from the angles alone, in their
 //! order. a(phi) is the moment per pressure of the fibre kinematics (3.1) at the axial equilibrium. Non-negative least
-//! squares by coordinate descent on the normal equations, which for a convex problem of nine unknowns converges;
-//! thresholds on a grid from [`SHORTEST`] to [`LONGEST`] of the largest angle.
+//! squares of nine unknowns; thresholds on a grid from [`SHORTEST`] to [`LONGEST`] of the largest angle.
 //!
 //! The standard uncertainty of kt comes from the residuals and the columns that are in use, as if the residuals were
 //! independent; those of a model that is not quite right are not, so it is a lower bound where
@@ -31,9 +30,10 @@ pub const LONGEST: f64 = 0.25;
 pub const POINTS_MIN: usize = 12;
 /// Smallest range of angles that says anything about a stiffness, rad: twenty times the IMU's noise.
 pub const RANGE_MIN: f64 = 0.0175;
-/// Rounds of the descent, at most, and the relative change at which it is over.
-const ROUNDS: usize = 200_000;
-const CHANGE: f64 = 1e-12;
+/// Rounds of the active set, at most: each takes an element in, and few leave again.
+const ROUNDS: usize = 100;
+/// Gain by a further element, as a share of the whole, that is rounding.
+const CHANGE: f64 = 1e-10;
 
 /// One point at rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,7 +86,7 @@ pub enum SweepError {
     /// An angle beyond the kinematics.
     #[error(transparent)]
     Domain(#[from] DomainError),
-    /// The descent did not end.
+    /// The active set did not come to an end.
     #[error("the fit did not converge within {ROUNDS} rounds")]
     NotConverged,
 }
@@ -123,7 +123,7 @@ pub fn fit_sweep(points: &[RestPoint], free: &Free) -> Result<SweepFit, SweepErr
         }
     }
     let right = DVector::from_vec(moments);
-    let solution = descend(&(columns.transpose() * &columns), &(columns.transpose() * &right))?;
+    let solution = non_negative(&(columns.transpose() * &columns), &(columns.transpose() * &right))?;
     let stiffness = solution[0];
     if stiffness <= 0.0 {
         return Err(SweepError::NotPositive(stiffness));
@@ -154,25 +154,45 @@ fn moments(points: &[RestPoint], free: &Free) -> Result<Vec<f64>, SweepError> {
     points.iter().map(moment).collect()
 }
 
-/// Minimises x' G x / 2 - g' x with all but the first x not negative.
-fn descend(gram: &DMatrix<f64>, right: &DVector<f64>) -> Result<DVector<f64>, SweepError> {
+/// Minimises x' G x / 2 - g' x with all but the first x not negative: Lawson and Hanson's active set.
+fn non_negative(gram: &DMatrix<f64>, right: &DVector<f64>) -> Result<DVector<f64>, SweepError> {
     let count = right.len();
+    let scale = |i: usize| gram[(i, i)].sqrt();
+    let largest = (0..count).filter(|&i| scale(i) > 0.0).map(|i| (right[i] / scale(i)).abs()).fold(0.0, f64::max);
     let mut x = DVector::zeros(count);
+    // The first is always in use; a column of zeros never.
+    let mut used = vec![0];
     for _ in 0..ROUNDS {
-        let mut change = 0.0f64;
-        for i in 0..count {
-            let diagonal = gram[(i, i)];
-            if diagonal <= 0.0 {
-                continue;
+        loop {
+            let inner = gram.select_rows(&used).select_columns(&used);
+            let target = right.select_rows(&used);
+            let wanted = inner.cholesky().ok_or(SweepError::NotConverged)?.solve(&target);
+            let blocks = |k: &usize| used[*k] != 0 && wanted[*k] <= 0.0;
+            let step =
+                (0..used.len()).filter(blocks).map(|k| x[used[k]] / (x[used[k]] - wanted[k])).fold(1.0, f64::min);
+            for (k, &i) in used.iter().enumerate() {
+                x[i] += step * (wanted[k] - x[i]);
             }
-            let others = gram.row(i).dot(&x.transpose()) - diagonal * x[i];
-            let best = (right[i] - others) / diagonal;
-            let best = if i == 0 { best } else { best.max(0.0) };
-            change = change.max((best - x[i]).abs() * diagonal.sqrt());
-            x[i] = best;
+            if step >= 1.0 && !(0..used.len()).any(|k| blocks(&k)) {
+                break;
+            }
+            // Who came down to zero leaves; at least one has.
+            let spent = |i: usize| i != 0 && x[i] * scale(i) <= 1e-14 * largest;
+            let left: Vec<_> = used.iter().copied().filter(|&i| !spent(i)).collect();
+            (0..count).filter(|i| !left.contains(i)).for_each(|i| x[i] = 0.0);
+            if left.len() == used.len() {
+                return Err(SweepError::NotConverged);
+            }
+            used = left;
         }
-        if change <= CHANGE * right.norm() / gram.diagonal().max().sqrt() {
-            return Ok(x);
+        let gain = right - gram * &x;
+        let relative = |i: usize| gain[i] / scale(i);
+        let next = (0..count)
+            .filter(|i| !used.contains(i) && scale(*i) > 0.0 && relative(*i) > CHANGE * largest)
+            .max_by(|&a, &b| relative(a).total_cmp(&relative(b)));
+        match next {
+            Some(i) => used.push(i),
+            None => return Ok(x),
         }
     }
     Err(SweepError::NotConverged)
