@@ -124,7 +124,7 @@ fn runs_lists_every_run_with_what_it_was() {
     // The same figure as the metrics have it.
     let error = freerig::record::Metrics::of(&made.own).unwrap().frees[0].error.unwrap();
     assert!(near(&own["rms_error_rad"], error.rms_rad) && near(&own["peak_error_rad"], error.peak_rad));
-    assert_eq!(of(&made.published)["gains"], "published-step");
+    assert_eq!(of(&made.published)["gains"], "model, published-step");
     assert_eq!(of(&made.sweep)["gains"], "open loop");
     assert_eq!(of(&made.sweep)["rms_error_rad"], Value::Null);
     assert_eq!(of(&made.repeated[2])["repetition"]["index"], 3);
