@@ -1,9 +1,11 @@
 //! An experiment that the daemon runs: started, attended by a heartbeat, watched to its end.
 
+use std::io;
 use std::path::Path;
 use std::time::Duration;
 
 use anyhow::anyhow;
+use tokio::runtime::Runtime;
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::outcome::Outcome;
@@ -20,14 +22,26 @@ const ABSENCES: u32 = 2;
 
 /// Has the daemon at `socket` run what `start` says, and prints what came of it.
 pub fn run(socket: &Path, start: Start, context: &Context) -> Result<(), Failure> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let client = Client::new(socket);
     if start.detach {
-        let response = runtime.block_on(client.start(&start)).map_err(Failure::client)?;
+        let response = runtime()?.block_on(Client::new(socket).start(&start)).map_err(Failure::client)?;
         return started(&response.message, response.run, context);
     }
-    let results = runtime.block_on(attend(&client, &start, context))?;
-    Outcome::new(results).tell(context)
+    watch(socket, &start, context)?.tell(context)
+}
+
+/// Has the daemon at `socket` run what `start` says, and answers what came of it.
+pub fn watch(socket: &Path, start: &Start, context: &Context) -> Result<Outcome, Failure> {
+    Ok(Outcome::new(runtime()?.block_on(attend(&Client::new(socket), start, context))?))
+}
+
+/// Has the daemon at `socket` take the pressures down.
+pub fn disarm(socket: &Path) -> Result<(), Failure> {
+    runtime()?.block_on(Client::new(socket).disarm()).map_err(Failure::client)?;
+    Ok(())
+}
+
+fn runtime() -> io::Result<Runtime> {
+    tokio::runtime::Builder::new_current_thread().enable_all().build()
 }
 
 fn started(message: &str, run: Option<Run>, context: &Context) -> Result<(), Failure> {

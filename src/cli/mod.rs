@@ -25,6 +25,7 @@
 
 mod arm;
 mod attend;
+mod calibrate;
 mod clear;
 mod compare;
 mod config;
@@ -36,6 +37,7 @@ mod estop;
 mod experiment;
 mod export;
 mod failure;
+mod free;
 mod latency;
 mod log;
 mod outcome;
@@ -47,6 +49,7 @@ mod set;
 mod simulate;
 mod status;
 mod table;
+mod tune;
 mod vent;
 
 use std::fmt::Display;
@@ -115,6 +118,10 @@ enum Command {
     Trajectory(experiment::Args),
     /// Quasi-static pressure up and down: twist against pressure with its hysteresis
     Sweep(experiment::Args),
+    /// Measure what is not known of a FREE, and put it into its calibration
+    Calibrate(calibrate::Args),
+    /// Root locus; gains with the damping and the margins asked for
+    Tune(tune::Args),
     /// List what has been run
     Runs(runs::Args),
     /// Make a run's report again and print its figures
@@ -148,6 +155,8 @@ impl Command {
             Command::Step(args) => experiment::run(Kind::Step, args, context),
             Command::Trajectory(args) => experiment::run(Kind::Trajectory, args, context),
             Command::Sweep(args) => experiment::run(Kind::Sweep, args, context),
+            Command::Calibrate(args) => calibrate::run(args, context),
+            Command::Tune(args) => tune::run(args, context),
             Command::Runs(args) => runs::run(args, context),
             Command::Report(args) => report::run(args, context),
             Command::Simulate(args) => simulate::run(args, context),

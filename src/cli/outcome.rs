@@ -91,8 +91,13 @@ impl Outcome {
         } else {
             context.print(self.text().trim_end())?;
         }
+        self.done().map(|_| ())
+    }
+
+    /// The last run, where it was done; else why not.
+    pub fn done(&self) -> Result<&RunResult, Failure> {
         match self.runs.last() {
-            Some(run) if run.outcome == "done" => Ok(()),
+            Some(run) if run.outcome == "done" => Ok(run),
             Some(run) => {
                 let error = anyhow!("{}: {}", run.id, run.reason.as_deref().unwrap_or("it did not come to its end"));
                 Err(if run.outcome == "fault" { Failure::fault(error) } else { Failure::failed(error) })

@@ -27,6 +27,7 @@ mod load;
 mod problem;
 mod reader;
 mod rig;
+mod script;
 mod sections;
 mod tube;
 
@@ -36,3 +37,4 @@ pub(crate) use key::distance;
 pub use load::SourceFile;
 pub use problem::{ConfigError, Problem};
 pub use rig::{Backend, LoopConfig, RecordConfig, Rig, SocketConfig};
+pub use script::Script;

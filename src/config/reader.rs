@@ -242,6 +242,20 @@ impl<'a> Section<'a> {
         Some(numbers?.into_iter().map(|number| number * scale).collect())
     }
 
+    /// Texts; none where the key is absent (or wrong, which is noted).
+    pub(super) fn texts(&mut self, key: &'static str) -> Vec<String> {
+        let Some(value) = self.get(key) else { return Vec::new() };
+        let text = |item: &DeValue<'_>| match item {
+            DeValue::String(text) => Some(text.to_string()),
+            _ => None,
+        };
+        let texts = array(value.get_ref()).and_then(|array| array.iter().map(|item| text(item.get_ref())).collect());
+        texts.unwrap_or_else(|| {
+            self.reject(key, "must be a list of texts", format!("write for example `{key} = [\"a\"]`"));
+            Vec::new()
+        })
+    }
+
     /// Lowest and highest value, in the unit of the key's name; the answer is in SI.
     pub(super) fn span(&mut self, key: &'static str, default: (f64, f64), range: RangeInclusive<f64>) -> (f64, f64) {
         let scale = key::scale(key);

@@ -17,6 +17,7 @@
 pub mod api;
 mod bench;
 mod byhand;
+pub mod calibration;
 pub mod client;
 mod connection;
 pub mod doctor;

@@ -3,4 +3,4 @@
 
 pub mod sweep;
 
-pub use sweep::{SweepError, SweepFit, fit_sweep};
+pub use sweep::{MomentPoint, RestPoint, SweepError, SweepFit, fit_sweep};

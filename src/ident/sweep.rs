@@ -30,6 +30,8 @@ pub const LONGEST: f64 = 0.25;
 pub const POINTS_MIN: usize = 12;
 /// Smallest range of angles that says anything about a stiffness, rad: twenty times the IMU's noise.
 pub const RANGE_MIN: f64 = 0.0175;
+/// Fewest points in a third of the range that give it a stiffness of its own.
+pub const THIRD_MIN: usize = 4;
 /// Rounds of the active set, at most: each takes an element in, and few leave again.
 const ROUNDS: usize = 100;
 /// Gain by a further element, as a share of the whole, that is rounding.
@@ -45,7 +47,7 @@ pub struct RestPoint {
 }
 
 /// What a sweep says.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct SweepFit {
     /// kt, N m/rad.
     pub stiffness: f64,
@@ -55,8 +57,24 @@ pub struct SweepFit {
     pub hysteresis: Hysteresis,
     /// Root mean square of what is left over, N m.
     pub residual: f64,
-    /// Points that were used.
-    pub points: usize,
+    /// Greatest relative deviation of kt in a third of the range of angles from that of the whole; `None` where fewer
+    /// than [`THIRD_MIN`] points lie in a third.
+    pub variation: Option<f64>,
+    /// The points with their moments, in their order.
+    pub points: Vec<MomentPoint>,
+}
+
+/// A point at rest as the fit sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MomentPoint {
+    /// Angle, rad.
+    pub angle: f64,
+    /// Moment of the pressure, N m, positive in the FREE's own direction.
+    pub moment: f64,
+    /// What spring and hysteresis bear according to the fit, N m.
+    pub fitted: f64,
+    /// The hysteresis' share of it, N m.
+    pub hysteresis: f64,
 }
 
 /// Why there is no fit.
@@ -135,13 +153,38 @@ pub fn fit_sweep(points: &[RestPoint], free: &Free) -> Result<SweepFit, SweepErr
     let used = columns.select_columns(&used);
     let uncertainty = (used.transpose() * &used).try_inverse().map_or(f64::INFINITY, |c| (variance * c[(0, 0)]).sqrt());
     let weights = std::array::from_fn(|i| solution[i + 1]);
+    let fitted = &columns * &solution;
+    let point = |(i, p): (usize, &RestPoint)| MomentPoint {
+        angle: p.angle,
+        moment: right[i],
+        fitted: fitted[i],
+        hysteresis: fitted[i] - stiffness * columns[(i, 0)],
+    };
+    let points: Vec<_> = points.iter().enumerate().map(point).collect();
     Ok(SweepFit {
         stiffness,
         stiffness_uncertainty: uncertainty,
         hysteresis: Hysteresis::new(thresholds, weights).unwrap_or_default(),
         residual: variance.sqrt(),
-        points: points.len(),
+        variation: variation(&points, own, highest, stiffness),
+        points,
     })
+}
+
+/// How far the stiffness of a third of the range lies from that of the whole: sum x (moment - hysteresis) / sum x^2.
+fn variation(points: &[MomentPoint], own: f64, highest: f64, stiffness: f64) -> Option<f64> {
+    let third = |n: f64| {
+        let inside = |p: &&MomentPoint| (n..n + 1.0).contains(&(own * p.angle / highest * 3.0 * (1.0 - 1e-12)));
+        let (mut above, mut below, mut count) = (0.0, 0.0, 0);
+        for p in points.iter().filter(inside) {
+            let x = own * p.angle;
+            above += x * (p.moment - p.hysteresis);
+            below += x * x;
+            count += 1;
+        }
+        (count >= THIRD_MIN && below > 0.0).then(|| (above / below / stiffness - 1.0).abs())
+    };
+    [0.0, 1.0, 2.0].into_iter().map(third).try_fold(0.0, |worst: f64, next| Some(worst.max(next?)))
 }
 
 /// Moment of the pressure at each point, N m, positive in the FREE's own direction.
@@ -241,7 +284,19 @@ mod tests {
             let hysteresis = truth();
             assert!((fit.hysteresis.saturation() / hysteresis.saturation() - 1.0).abs() < 0.1, "{fit:?}");
             assert!(fit.residual < 0.02 * hysteresis.saturation(), "{fit:?}");
+            assert!(fit.variation.unwrap() < 0.02, "{:?}", fit.variation);
         }
+    }
+
+    #[test]
+    fn a_stiffness_that_depends_on_the_angle_is_seen() {
+        let free = Free::paper();
+        let mut points = sweep(&free, 0.086, 0.0);
+        let highest = points.iter().map(|p| p.angle).fold(0.0, f64::max);
+        // 5 % stiffer at the end of the range than at rest.
+        points.iter_mut().for_each(|p| p.pressure *= 1.0 + 0.05 * p.angle / highest);
+        let fit = fit_sweep(&points, &free).unwrap();
+        assert!(fit.variation.unwrap() > 0.01, "{:?}", fit.variation);
     }
 
     #[test]
