@@ -388,7 +388,16 @@ fn calibration_strategy() -> impl Strategy<Value = Calibration> {
                     let standard_uncertainty = uncertainty;
                     calibration.set(
                         key,
-                        Entry { value, standard_uncertainty, method, residual: uncertainty, date, run, prediction },
+                        Entry {
+                            value,
+                            standard_uncertainty,
+                            method,
+                            residual: uncertainty,
+                            date,
+                            run,
+                            prediction,
+                            simulated_nominal: (draw % 3 == 0).then_some(value),
+                        },
                     );
                 }
             }

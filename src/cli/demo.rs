@@ -1,6 +1,6 @@
 //! `freerig demo`: the whole job on the simulated rig, in this process.
 //!
-//! One trajectory in real time, with the threads, drivers and files of the daemon; then step and trajectory on the
+//! Stiffness and hysteresis of the simulated FREE first; then one trajectory in real time, with the threads, drivers and files of the daemon; then step and trajectory on the
 //! stepped clock, with the gains that the paper's authors published and with freerig's own.
 
 use std::fmt::Write as _;
@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::anyhow;
+use jiff::Zoned;
 use serde::Serialize;
 use tracing::level_filters::LevelFilter;
 
@@ -18,7 +19,9 @@ use crate::config::experiment::{Experiment, Kind};
 use crate::config::{Backend, Rig};
 use crate::control::ControllerKind;
 use crate::control::margin::{GAIN_MARGIN_MIN, margin};
+use crate::control::tune::{Target, tune};
 use crate::daemon::api::RunResult;
+use crate::daemon::calibration::{FoundValue, stiffness};
 use crate::daemon::experiment::{self, Attendance, Job};
 use crate::daemon::{Bench, DaemonError, Live, Switches, names, procedure};
 use crate::record::{self, Run};
@@ -41,6 +44,8 @@ pub struct Args {}
 #[derive(Debug, Serialize)]
 struct Demo {
     simulated: bool,
+    /// What was measured of the FREE first.
+    calibration: Calibrated,
     /// The trajectory in real time; `null` where the machine stalled before it began.
     real_time: Option<RunResult>,
     /// How the machine kept time.
@@ -50,6 +55,16 @@ struct Demo {
     /// One page for all of it.
     report: String,
     elapsed_s: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct Calibrated {
+    /// The stiffness.
+    values: Vec<FoundValue>,
+    /// The run that it was measured in.
+    run: String,
+    /// The page of the fit.
+    report: String,
 }
 
 #[derive(Debug, Default, Serialize)]
@@ -83,17 +98,53 @@ pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
     rig.backend = Backend::Sim;
     context.note("freerig demo: the paper's experiments on a SIMULATED bench\n");
 
-    context.note("1. in real time: trajectory, freerig's gains");
+    context.note("1. on the stepped clock: stiffness and hysteresis of the FREE, and gains for it");
+    let calibration = calibrate(&mut rig, context)?;
+    context.note("2. in real time: trajectory, with what was measured");
     let (real_time, machine) = real_time(&rig)?;
     context.note(machine.text());
-    context.note("2. on the stepped clock: the same drivers and chips, as fast as this machine can");
+    context.note("3. on the stepped clock: the same drivers and chips, as fast as this machine can");
     let comparisons =
         EXPERIMENTS.iter().map(|(kind, gains)| compare(&rig, *kind, gains, context)).collect::<Result<Vec<_>, _>>()?;
 
     let report = overview(&rig, real_time.as_ref(), &comparisons)?.display().to_string();
     let elapsed_s = begun.elapsed().as_secs_f64();
-    let demo = Demo { simulated: true, real_time, machine, comparisons, report, elapsed_s };
+    let demo = Demo { simulated: true, calibration, real_time, machine, comparisons, report, elapsed_s };
     if context.json { context.print_json(&demo) } else { context.print(demo.text().trim_end()) }
+}
+
+/// Measures the first FREE on the simulated rig, and has `rig` control it by what was found. No file in the calibration
+/// folder is touched.
+fn calibrate(rig: &mut Rig, context: &Context) -> Result<Calibrated, Failure> {
+    let begun = Instant::now();
+    let text = stiffness::experiment(rig, 0)?;
+    let free = rig.control.frees.first().map(|free| free.name.as_str());
+    let experiment = Experiment::parse(Path::new("calibration.toml"), &text, rig, free)?;
+    let job = Job {
+        note: "freerig demo".into(),
+        stepped: true,
+        accept_margin: true,
+        ..Job::new(experiment, Attendance::Here)
+    };
+    let outcome = stepped(rig, &job)?;
+    let run = Run::open(Path::new(&outcome.done()?.folder))?;
+    let finding = stiffness::evaluate(rig, 0, &run, &Zoned::now().date().to_string())?;
+    let report = finding.sheet.write(&run.folder.join("calibration.html"))?.display().to_string();
+    rig.adopt(0, finding.calibration);
+    let period = rig.control.period;
+    let free = rig.control.frees.first_mut().ok_or_else(|| anyhow!("the rig has no FREE"))?;
+    if let (Some(imu), ControllerKind::Model(_)) = (&free.imu, &free.controller) {
+        free.gains = tune(&free.free, &free.regulator, imu, period, &Target::MODEL)?.gains;
+    }
+    let seconds = begun.elapsed().as_secs_f64();
+    for value in &finding.values {
+        let before = value.before.map_or("nothing".into(), |before| format!("{before:.4}"));
+        context.note(format!(
+            "   {} {:.4} +- {:.4}, not {before} as the calibration says; in {seconds:.1} s",
+            value.key, value.value, value.standard_uncertainty
+        ));
+    }
+    Ok(Calibrated { values: finding.values, run: run.id().to_owned(), report })
 }
 
 /// All runs on one page, drawn over each other by experiment, with links to their own reports.

@@ -57,38 +57,61 @@ fn control(raw: &RawRig) -> ControlConfig {
 }
 
 fn free_control(raw: &RawRig, free: &RawFree) -> FreeControl {
-    let known = &free.calibration;
-    FreeControl {
+    let mut control = FreeControl {
         name: free.name.clone(),
-        free: known.free(),
+        free: free.calibration.free(),
         controller: match free.model {
             // A real FREE has been under pressure before; the simulated one of a new rig has not.
-            true => ControllerKind::Model(ModelSpec {
-                hysteresis: known.hysteresis.unwrap_or_default(),
-                statics: None,
-                virgin: false,
-            }),
+            true => ControllerKind::Model(ModelSpec { virgin: false, ..ModelSpec::default() }),
             false => ControllerKind::Pid,
         },
         gains: free.gains,
         derivative_on: free.derivative_on,
         feedforward: free.feedforward,
         limits: free.limits,
-        imu: free.imu.as_ref().map(|imu| ImuChannel {
-            axis: imu.axis,
-            period: imu.period,
-            delay: duration(known.value(&keys::IMU_DELAY).unwrap_or(NOMINAL_IMU_DELAY)),
-        }),
+        imu: free.imu.as_ref().map(|imu| ImuChannel { axis: imu.axis, period: imu.period, delay: Duration::ZERO }),
         regulator: RegulatorChannel {
             period: regulator_period(raw, free),
-            lag: duration(known.value(&keys::REGULATOR_LAG).unwrap_or(NOMINAL_LAG)),
-            dead_time: duration(
-                transport(raw, free) + known.value(&keys::REGULATOR_DEAD_TIME).unwrap_or(NOMINAL_DEAD_TIME),
-            ),
-            fastest_fill: known.value(&keys::FASTEST_FILL).unwrap_or(NOMINAL_FILL),
+            lag: Duration::ZERO,
+            dead_time: Duration::ZERO,
+            fastest_fill: 0.0,
             full_scale: free.regulator.full_scale,
             measures: matches!(free.regulator.connection, Connection::Alicat { .. }),
         },
+    };
+    take(&mut control, &free.calibration, transport(raw, free));
+    control
+}
+
+/// Takes over what `known` says; `transport` is the time of a command on its line, s.
+fn take(control: &mut FreeControl, known: &Calibration, transport: f64) {
+    control.free = known.free();
+    if let ControllerKind::Model(model) = &mut control.controller {
+        model.hysteresis = known.hysteresis.unwrap_or_default();
+    }
+    if let Some(imu) = &mut control.imu {
+        imu.delay = duration(known.value(&keys::IMU_DELAY).unwrap_or(NOMINAL_IMU_DELAY));
+    }
+    let regulator = &mut control.regulator;
+    regulator.lag = duration(known.value(&keys::REGULATOR_LAG).unwrap_or(NOMINAL_LAG));
+    regulator.dead_time = duration(transport + dead_time(known));
+    regulator.fastest_fill = known.value(&keys::FASTEST_FILL).unwrap_or(NOMINAL_FILL);
+}
+
+fn dead_time(known: &Calibration) -> f64 {
+    known.value(&keys::REGULATOR_DEAD_TIME).unwrap_or(NOMINAL_DEAD_TIME)
+}
+
+impl Rig {
+    /// Has the FREE `index` controlled by what `calibration` says; the simulated FREE stays what it is. Gains that the
+    /// rig names stay, too.
+    pub fn adopt(&mut self, index: usize, calibration: Calibration) {
+        let (Some(control), Some(known)) = (self.control.frees.get_mut(index), self.calibrations.get_mut(index)) else {
+            return;
+        };
+        let transport = control.regulator.dead_time.as_secs_f64() - dead_time(known);
+        take(control, &calibration, transport.max(0.0));
+        *known = calibration;
     }
 }
 
@@ -204,7 +227,7 @@ fn bench(raw: &RawRig) -> BenchConfig {
             .frees
             .iter()
             .map(|free| PlantSim {
-                nominal: free.calibration.free(),
+                nominal: free.calibration.simulated_nominal(),
                 scatter: free.twin.scatter,
                 hysteresis: free.twin.hysteresis,
                 load_moment: free.twin.load_moment,

@@ -3,7 +3,9 @@
 //!
 //! Every value is an inline table: `value` in the unit of the key's name, `standard_uncertainty` (same unit),
 //! `method`, `residual` of the fit (same unit as what was fitted), `date`, `run` that it came from, and
-//! `prediction` of the finite-element model (same unit as the value). Only `value` and `method` are required.
+//! `prediction` of the finite-element model (same unit as the value). Only `value` and `method` are required. A value
+//! that was measured on the simulated FREE has `simulated_nominal` beside it, the value that the simulated FREE is
+//! scattered around: it does not change with what is measured on it. No such value is accepted for a real FREE.
 //!
 //! ```toml
 //! schema = 1
@@ -116,6 +118,8 @@ pub struct Entry {
     pub run: Option<String>,
     /// What the finite-element model predicts, in the unit of the key.
     pub prediction: Option<f64>,
+    /// Where the value was measured on the simulated FREE: what that one is scattered around, in the unit of the key.
+    pub simulated_nominal: Option<f64>,
 }
 
 /// The calibration of one FREE.
@@ -197,18 +201,18 @@ impl Calibration {
     /// A calibration that has been read has every value that is required; one that was put together by hand and
     /// lacks one gives a FREE with values that are not numbers.
     pub fn free(&self) -> Free {
-        let value = |key: &Key| self.value(key).unwrap_or(f64::NAN);
-        Free {
-            gamma: value(&keys::WINDING_ANGLE),
-            length: value(&keys::LENGTH),
-            radius: value(&keys::FIBER_RADIUS),
-            mass: value(&keys::END_MASS),
-            inertia: value(&keys::END_INERTIA),
-            axial_stiffness: value(&keys::AXIAL_STIFFNESS),
-            torsional_stiffness: value(&keys::TORSIONAL_STIFFNESS),
-            axial_damping: value(&keys::AXIAL_DAMPING),
-            torsional_damping: value(&keys::TORSIONAL_DAMPING),
-        }
+        free_of(|key| self.value(key))
+    }
+
+    /// What the simulated FREE is scattered around: as [`Calibration::free`], without what was measured on it.
+    pub fn simulated_nominal(&self) -> Free {
+        let nominal = |entry: &Entry| entry.simulated_nominal.unwrap_or(entry.value);
+        free_of(|key| self.entry(key).map(|entry| nominal(entry) * key::scale(key.name)))
+    }
+
+    /// Keys whose values were measured on a simulated FREE.
+    pub fn simulated_keys(&self) -> impl Iterator<Item = &'static str> {
+        self.entries.iter().filter(|(_, entry)| entry.simulated_nominal.is_some()).map(|(name, _)| *name)
     }
 
     /// Writes `directory`/NAME.toml as one step that cannot be seen half done, and answers its path.
@@ -266,6 +270,22 @@ impl Calibration {
     }
 }
 
+/// The FREE of the values in SI; one that is missing is not a number.
+fn free_of(value: impl Fn(&Key) -> Option<f64>) -> Free {
+    let value = |key: &Key| value(key).unwrap_or(f64::NAN);
+    Free {
+        gamma: value(&keys::WINDING_ANGLE),
+        length: value(&keys::LENGTH),
+        radius: value(&keys::FIBER_RADIUS),
+        mass: value(&keys::END_MASS),
+        inertia: value(&keys::END_INERTIA),
+        axial_stiffness: value(&keys::AXIAL_STIFFNESS),
+        torsional_stiffness: value(&keys::TORSIONAL_STIFFNESS),
+        axial_damping: value(&keys::AXIAL_DAMPING),
+        torsional_damping: value(&keys::TORSIONAL_DAMPING),
+    }
+}
+
 fn read(mut root: Section<'_>) -> Calibration {
     root.integer("schema", None, SCHEMA_VERSION..=SCHEMA_VERSION);
     let mut calibration = Calibration {
@@ -316,13 +336,14 @@ fn read_entry(section: &mut Section<'_>, key: &Key) -> Option<Entry> {
     let any = || f64::NEG_INFINITY..=f64::INFINITY;
     let range: RangeInclusive<f64> = key.range.0..=key.range.1;
     let entry = Entry {
-        value: table.number("value", None, range),
+        value: table.number("value", None, range.clone()),
         standard_uncertainty: table.optional_number("standard_uncertainty", 0.0..=f64::INFINITY),
         method: table.text("method", "given by the paper"),
         residual: table.optional_number("residual", 0.0..=f64::INFINITY),
         date: table.optional_text("date"),
         run: table.optional_text("run"),
         prediction: table.optional_number("prediction", any()),
+        simulated_nominal: table.optional_number("simulated_nominal", range),
     };
     if key.name == keys::WINDING_ANGLE.name && entry.value.abs() < 1.0 {
         // Without an angle the kinematics have no answer.
@@ -402,6 +423,7 @@ fn inline(entry: &Entry) -> String {
     word(&mut text, "date", entry.date.as_ref());
     word(&mut text, "run", entry.run.as_ref());
     number(&mut text, "prediction", entry.prediction);
+    number(&mut text, "simulated_nominal", entry.simulated_nominal);
     text.push_str(" }");
     text
 }

@@ -6,6 +6,7 @@ use super::calibration::{Calibration, keys};
 use super::gains;
 use super::load::Library;
 use super::reader::Section;
+use super::rig::Backend;
 use super::sections::{RawI2c, RawSerial, duration};
 use crate::control::{DerivativeOn, Gains, Limits};
 use crate::units::PASCAL_PER_PSI;
@@ -79,6 +80,7 @@ pub(super) fn read_free(
     serial: &[RawSerial],
     earlier: &[RawFree],
     library: &mut Library<'_>,
+    backend: Backend,
 ) -> RawFree {
     let name = section.text("name", "paper");
     if !name.is_empty() {
@@ -86,6 +88,11 @@ pub(super) fn read_free(
     }
     check_name(&section, &name, earlier);
     let calibration = read_calibration(&mut section, &name, library);
+    let simulated: Vec<_> = calibration.iter().flat_map(Calibration::simulated_keys).collect();
+    if backend == Backend::Linux && !simulated.is_empty() {
+        let rule = format!("holds values that were measured on a simulated FREE: {}", simulated.join(", "));
+        section.reject("calibration", rule, "measure them on the FREE itself (`freerig calibrate`), or remove them");
+    }
     let gains = read_gains(&mut section, calibration.as_ref());
     let looks_at = [("measurement", DerivativeOn::Measurement), ("error", DerivativeOn::Error)];
     let derivative_on = section.choice("derivative_on", Some(DerivativeOn::default()), &looks_at).unwrap_or_default();

@@ -73,15 +73,16 @@ pub(super) fn read_rig(mut root: Section<'_>, base: &Path, files: &mut Files) ->
     let i2c = read_i2c(&mut root);
     let serial = read_serial(&mut root);
     let calibration_directory = base.join(root.path("calibration_directory", "calibration"));
+    let backend = root.choice("backend", Some(Backend::Sim), &backends).unwrap_or(Backend::Sim);
     RawRig {
         name: root.optional_text("name").unwrap_or_else(|| "bench".into()),
-        backend: root.choice("backend", Some(Backend::Sim), &backends).unwrap_or(Backend::Sim),
+        backend,
         realtime: read_loop(root.section("loop")),
         safety: read_safety(root.section("safety")),
         record: read_record(root.section("record")),
         socket: read_socket(root.section("socket"), base),
         sim: read_sim(root.section("sim")),
-        frees: read_frees(&mut root, &i2c, &serial, &mut Library::new(&calibration_directory, files)),
+        frees: read_frees(&mut root, &i2c, &serial, &mut Library::new(&calibration_directory, files), backend),
         calibration_directory,
         i2c,
         serial,
@@ -177,7 +178,13 @@ fn reject_device(section: &Section<'_>, other: &str) {
     section.reject("device", rule, "one owner per bus: keep one of the two, or correct the device file");
 }
 
-fn read_frees(root: &mut Section<'_>, i2c: &[RawI2c], serial: &[RawSerial], library: &mut Library<'_>) -> Vec<RawFree> {
+fn read_frees(
+    root: &mut Section<'_>,
+    i2c: &[RawI2c],
+    serial: &[RawSerial],
+    library: &mut Library<'_>,
+    backend: Backend,
+) -> Vec<RawFree> {
     let sections = root.sections("free");
     if sections.is_empty() && !root.has("free") {
         root.reject("free", "a rig has at least one FREE", "add a `[[free]]` with its name, imu, regulator and limits");
@@ -188,7 +195,7 @@ fn read_frees(root: &mut Section<'_>, i2c: &[RawI2c], serial: &[RawSerial], libr
     }
     let mut frees = Vec::new();
     for section in sections {
-        let free = read_free(section, i2c, serial, &frees, library);
+        let free = read_free(section, i2c, serial, &frees, library, backend);
         frees.push(free);
     }
     frees

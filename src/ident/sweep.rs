@@ -10,9 +10,9 @@
 //! order. a(phi) is the moment per pressure of the fibre kinematics (3.1) at the axial equilibrium. Non-negative least
 //! squares of nine unknowns; thresholds on a grid from [`SHORTEST`] to [`LONGEST`] of the largest angle.
 //!
-//! The standard uncertainty of kt comes from the residuals and the columns that are in use, as if the residuals were
-//! independent; those of a model that is not quite right are not, so it is a lower bound where
-//! [`SweepFit::residual`] is well above the noise of a point.
+//! The standard uncertainty of kt has two parts: that of the residuals and the columns in use, as if the residuals were
+//! independent; and, because those of a model that is not quite right are not, the variation of kt between the thirds of
+//! the range, as the half-width of a uniform distribution (over sqrt 3).
 
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
@@ -161,12 +161,13 @@ pub fn fit_sweep(points: &[RestPoint], free: &Free) -> Result<SweepFit, SweepErr
         hysteresis: fitted[i] - stiffness * columns[(i, 0)],
     };
     let points: Vec<_> = points.iter().enumerate().map(point).collect();
+    let variation = variation(&points, own, highest, stiffness);
     Ok(SweepFit {
         stiffness,
-        stiffness_uncertainty: uncertainty,
+        stiffness_uncertainty: uncertainty.hypot(stiffness * variation.unwrap_or_default() / 3f64.sqrt()),
         hysteresis: Hysteresis::new(thresholds, weights).unwrap_or_default(),
         residual: variance.sqrt(),
-        variation: variation(&points, own, highest, stiffness),
+        variation,
         points,
     })
 }

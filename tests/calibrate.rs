@@ -1,0 +1,114 @@
+//! `freerig calibrate` and `freerig tune` as a user meets them, on the simulated rig.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+const KT: &str = "torsional_stiffness_nm_per_rad";
+
+/// A folder with the example rig.
+fn bench() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let source = Path::new(env!("CARGO_MANIFEST_DIR"));
+    fs::copy(source.join("rig.toml"), folder.path().join("rig.toml")).unwrap();
+    fs::create_dir(folder.path().join("calibration")).unwrap();
+    fs::copy(source.join("calibration/paper.toml"), folder.path().join("calibration/paper.toml")).unwrap();
+    folder
+}
+
+fn freerig(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_freerig")).args(args).current_dir(folder).output().unwrap()
+}
+
+fn json(output: &Output) -> Value {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("stdout is one JSON object")
+}
+
+fn refused(output: &Output, status: i32, words: &[&str]) {
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(status), "{text}");
+    for word in words {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+}
+
+fn edit(path: &Path, from: &str, to: &str) {
+    let text = fs::read_to_string(path).unwrap();
+    assert!(text.contains(from), "{from}");
+    fs::write(path, text.replace(from, to)).unwrap();
+}
+
+#[test]
+fn a_stiffness_is_measured_written_and_the_simulated_free_stays_what_it_is() {
+    let folder = bench();
+    let calibrate =
+        || json(&freerig(folder.path(), &["calibrate", "stiffness", "--free", "paper", "--stepped", "--json"]));
+    let first = calibrate();
+    let file = folder.path().join("calibration/paper.toml");
+    let text = fs::read_to_string(&file).unwrap();
+    assert_eq!(first["simulated"], true);
+    let value = &first["values"][0];
+    let (kt, uncertainty) = (value["value"].as_f64().unwrap(), value["standard_uncertainty"].as_f64().unwrap());
+    assert_eq!((value["key"].as_str(), value["before"].as_f64()), (Some(KT), Some(0.086)));
+    // The simulated FREE is not the nominal one, and the fit knows how well it knows it.
+    assert!((kt / 0.086 - 1.0).abs() > 0.01 && uncertainty > 0.0 && uncertainty < 0.01 * kt, "{value}");
+    for part in ["[hysteresis]", "SIMULATED: ", "simulated_nominal = 0.086", "standard_uncertainty", "run = "] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    let page = fs::read_to_string(folder.path().join(first["report"].as_str().unwrap())).unwrap();
+    assert!(page.contains("SIMULATED") && page.contains("<svg"));
+    // Measured again from what was measured: the start does not show in the result.
+    let second = calibrate();
+    let again = second["values"][0]["value"].as_f64().unwrap();
+    assert!((again - kt).abs() < 3.0 * uncertainty, "{kt} {again} {uncertainty}");
+    assert!(fs::read_to_string(&file).unwrap().contains("simulated_nominal = 0.086"));
+    // What was measured on a simulated FREE is not for a real one.
+    edit(&folder.path().join("rig.toml"), "backend = \"sim\"", "backend = \"linux\"");
+    refused(&freerig(folder.path(), &["config", "check"]), 2, &["simulated FREE", KT, "freerig calibrate"]);
+}
+
+#[test]
+fn a_calibration_that_ends_in_a_fault_leaves_the_old_one_as_it_was() {
+    let folder = bench();
+    let file = folder.path().join("calibration/paper.toml");
+    // Believed to be four times as stiff as it is: it turns beyond its soft envelope.
+    edit(&file, &format!("{KT} = {{ value = 0.086,"), &format!("{KT} = {{ value = 0.35, simulated_nominal = 0.086,"));
+    let before = fs::read_to_string(&file).unwrap();
+    let output = freerig(folder.path(), &["calibrate", "stiffness", "--stepped"]);
+    refused(&output, 3, &["angle_limit"]);
+    assert_eq!(fs::read_to_string(&file).unwrap(), before);
+}
+
+#[test]
+fn answers_come_from_a_script_and_a_wrong_one_is_named() {
+    let folder = bench();
+    let script = folder.path().join("answers.toml");
+    let calibrate = || freerig(folder.path(), &["calibrate", "stiffness", "--stepped", "--script", "answers.toml"]);
+    refused(&calibrate(), 2, &["answers.toml"]);
+    fs::write(&script, "ready = [\"stifness\"]\n").unwrap();
+    refused(&calibrate(), 2, &["answers.toml:1", "stifness", "write some of: stiffness"]);
+    fs::write(&script, "ready = []\n").unwrap();
+    refused(&calibrate(), 2, &["stiffness", "ready", "hangs free"]);
+    refused(&freerig(folder.path(), &["calibrate", "stiffness", "--free", "other"]), 2, &["`other`", "paper"]);
+}
+
+#[test]
+fn tuned_gains_have_the_margins_asked_for_and_can_be_used() {
+    let folder = bench();
+    let tuned = json(&freerig(folder.path(), &["tune", "--free", "paper", "--gain-margin", "4", "--write", "--json"]));
+    let row = &tuned["tuned"];
+    assert!(row["gain_margin"].as_f64().unwrap() > 0.98 * 4.0 && row["phase_margin_deg"].as_f64().unwrap() >= 60.0);
+    assert!(row["spectral_radius"].as_f64().unwrap() < 1.0 && tuned["damping_ratio"].as_f64().unwrap() >= 0.7);
+    let unstable = tuned["beside"].as_array().unwrap().iter().find(|r| r["name"] == "paper-pi").unwrap();
+    assert_eq!(unstable["stable"], false);
+    let page = fs::read_to_string(folder.path().join(tuned["report"].as_str().unwrap())).unwrap();
+    assert!(page.contains("Root locus") && page.matches("<svg").count() == 2);
+    edit(&folder.path().join("rig.toml"), "gains = \"freerig\"", "gains = \"tuned-model\"");
+    let used = json(&freerig(folder.path(), &["tune", "--json"]));
+    assert!(used["beside"].as_array().unwrap().iter().all(|r| r["name"] != "tuned-model"));
+    assert!(freerig(folder.path(), &["config", "check"]).status.success());
+    refused(&freerig(folder.path(), &["tune", "--damping", "2"]), 2, &["damping", "2", "between 0 and 1"]);
+}
