@@ -84,8 +84,7 @@ fn calibrated(runs: &Path) -> Rig {
     let free = &mut rig.control.frees[0];
     free.free = truth;
     free.free.torsional_stiffness = fit.stiffness;
-    // The simulated FREE of every new rig is untouched.
-    free.controller = ControllerKind::Model(ModelSpec { hysteresis: fit.hysteresis, statics: None, virgin: true });
+    free.controller = ControllerKind::Model(ModelSpec { hysteresis: fit.hysteresis, statics: None });
     free.gains = tune(&free.free, &free.regulator, &free.imu.unwrap(), period, &Target::MODEL).unwrap().gains;
     rig
 }

@@ -61,8 +61,7 @@ fn free_control(raw: &RawRig, free: &RawFree) -> FreeControl {
         name: free.name.clone(),
         free: free.calibration.free(),
         controller: match free.model {
-            // A real FREE has been under pressure before; the simulated one of a new rig has not.
-            true => ControllerKind::Model(ModelSpec { virgin: false, ..ModelSpec::default() }),
+            true => ControllerKind::Model(ModelSpec::default()),
             false => ControllerKind::Pid,
         },
         gains: free.gains,

@@ -93,8 +93,6 @@ pub struct ModelSpec {
     pub hysteresis: Hysteresis,
     /// The static map; without it the table of the FREE's own equilibria.
     pub statics: Option<static_map::StaticMap>,
-    /// Whether it has never been pressurised: then no cycle has left anything behind at the tare.
-    pub virgin: bool,
 }
 
 /// How the FREE's IMU is read.

@@ -10,8 +10,8 @@
 //! ```
 //!
 //! P_static and a are the table of [`super::static_map`], M_h is the Maxwell-slip moment of [`crate::model::Hysteresis`]
-//! that moves along with the reference, from the tare. There the sliders stand as a full cycle has left them, and the
-//! FREE a little beyond its untouched zero; a FREE that has never been pressurised (`virgin`) begins untouched.
+//! that moves along with the reference, from the tare. There the sliders stand as a full cycle has left them: a FREE on a
+//! bench has been under pressure before.
 //!
 //! **Feedback.** If the model is right the angle *is* the shaped reference. So the PID compares the estimate with the
 //! estimate that this reference would give: the reference as it was when the present reading was taken, `age` ago,
@@ -54,9 +54,6 @@ pub struct ModelFollowing {
     slew: (f64, f64),
     /// Shortest move, s.
     shortest: f64,
-    /// Angle at the tare against the untouched FREE, rad in its own direction: what a cycle leaves behind.
-    zero: f64,
-    at_tare: HysteresisState,
     state: HysteresisState,
     shaper: Shaper,
     /// Pressure that the FREE is to have after the command before, Pa.
@@ -79,13 +76,6 @@ impl ModelFollowing {
         let held = (regulator.period.as_secs_f64() - tick).max(0.0);
         let (omega, ratio) = (f.natural_frequencies().1, f.damping_ratios().1);
         let period = if ratio < 1.0 { std::f64::consts::TAU / (omega * (1.0 - ratio * ratio).sqrt()) } else { 0.0 };
-        let mut at_tare = HysteresisState::default();
-        let mut zero = 0.0;
-        if !spec.virgin {
-            at_tare = HysteresisState::turned_to(&spec.hysteresis, statics.highest());
-            zero = spec.hysteresis.angle(&at_tare, f.torsional_stiffness, 0.0);
-            spec.hysteresis.advance(&mut at_tare, zero);
-        }
         Ok(Self {
             statics,
             hysteresis: spec.hysteresis,
@@ -99,9 +89,7 @@ impl ModelFollowing {
             slew: (SHARE * limits.slew, SHARE * regulator.fastest_fill),
             // An overdamped FREE has no period: two ticks are a jump still.
             shortest: (PERIODS * period).max(2.0 * tick),
-            zero,
-            at_tare,
-            state: at_tare,
+            state: HysteresisState::rested(&spec.hysteresis),
             shaper: Shaper::default(),
             pressure: 0.0,
             past: Past::at_rest(0.0),
@@ -118,9 +106,9 @@ impl ModelFollowing {
     pub fn engage(&mut self, first: &Reference, estimate: &Estimate) -> f64 {
         let position = self.direction * first.position;
         let at = self.direction * estimate.angle;
-        self.state = self.at_tare;
+        self.state = HysteresisState::rested(&self.hysteresis);
         // Straight from the tare to where it is; an angle that is no number moves nothing.
-        self.hysteresis.advance(&mut self.state, self.zero + at);
+        self.hysteresis.advance(&mut self.state, at);
         self.shaper = Shaper::at_rest(position);
         self.past = Past::at_rest(position);
         self.twin = position;
@@ -170,15 +158,15 @@ impl ModelFollowing {
 
     /// Moves the sliders along; returns the pressure that the motion needs, Pa.
     fn turned(&mut self, motion: Motion) -> f64 {
-        let angle = self.zero + motion[0];
+        let angle = motion[0];
         self.hysteresis.advance(&mut self.state, angle);
-        self.needed(motion, self.hysteresis.moment(&self.state, angle))
+        self.needed(motion, self.hysteresis.moment_from_rest(&self.state, angle))
     }
 
     /// Pressure that the motion needs, Pa, with `moment` of hysteresis.
     fn needed(&self, [position, rate, acceleration]: Motion, moment: f64) -> f64 {
         let torque = self.damping * rate + self.inertia * acceleration + moment;
-        self.statics.pressure(self.zero + position) + torque / self.statics.moment(self.zero + position)
+        self.statics.pressure(position) + torque / self.statics.moment(position)
     }
 
     /// Whether regulator and limits allow the program, going on as in `program`, plus `difference`.

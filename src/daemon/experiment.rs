@@ -313,6 +313,7 @@ fn document<B: Bench>(bench: &mut B, rig: &Rig, job: &Job, repetition: Option<Re
     for ((free, control), calibration) in start.frees.iter_mut().zip(&rig.control.frees).zip(&rig.calibrations) {
         let name = calibration.gain_names().find(|name| calibration.gains(name) == Some(control.gains));
         free.preset = name.unwrap_or_default().to_owned();
+        free.hysteresis = calibration.hysteresis.map(Into::into);
     }
     if let (Some((name, gains)), Some(free)) = (&job.gains, start.frees.get_mut(job.subject)) {
         free.preset = name.clone();

@@ -2,7 +2,10 @@
 
 use thiserror::Error;
 
-use super::{Feedback, Free, FreeError, IntegrationError, Kinematics, Law, Load, Lumped, LumpedState};
+use super::{
+    Feedback, Free, FreeError, Hysteresis, HysteresisState, IntegrationError, Kinematics, Law, Load, Lumped,
+    LumpedState,
+};
 
 /// Why there is no response.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -31,15 +34,21 @@ pub enum ResponseError {
     },
 }
 
+/// Longest step of the integration, s.
+const LONGEST_STEP: f64 = 2e-3;
+
 /// Open-loop response of the nonlinear model to a pressure history: (s, phi), m and rad, at each of `times` (s),
-/// with `pressures` (Pa) linear between them. Starts at rest in the equilibrium of no motion, s = phi = 0.
+/// with `pressures` (Pa) linear between them. Starts at rest, s = phi = 0, with the `hysteresis` as a full cycle has left
+/// it. Its corners fall into steps of at most [`LONGEST_STEP`]: what a step overlooks, the next one makes good.
 pub fn response(
     free: &Free,
+    hysteresis: &Hysteresis,
     kinematics: Kinematics,
     times: &[f64],
     pressures: &[f64],
 ) -> Result<Vec<(f64, f64)>, ResponseError> {
-    let model = Lumped::new(*free, Law::Nonlinear(kinematics))?;
+    let law = Law::Nonlinear(kinematics);
+    let model = Lumped::new(*free, law)?;
     if times.len() != pressures.len() {
         return Err(ResponseError::Lengths { times: times.len(), pressures: pressures.len() });
     }
@@ -47,7 +56,9 @@ pub fn response(
     if let Some(bad) = (0..times.len()).find(|&i| !good(i)) {
         return Err(ResponseError::Sample(bad));
     }
-    let step = model.suggested_step(0.0);
+    let step = model.suggested_step(0.0).min(LONGEST_STEP);
+    let own = free.direction();
+    let mut memory = HysteresisState::rested(hysteresis);
     let mut state = LumpedState::default();
     let mut motion = Vec::with_capacity(times.len());
     motion.extend(times.first().map(|_| (state.extension, state.rotation)));
@@ -58,9 +69,16 @@ pub fn response(
         let mut from = 0.0;
         while from < pieces {
             let pressure = |tau: f64| p[0] + (p[1] - p[0]) * ((from * h + tau) / span);
-            model
-                .advance(&mut state, &mut 0.0, &Feedback::open(), Load::default(), pressure, h)
+            // The elements that stick are springs beside the FREE's own until they slip.
+            let angle = own * state.rotation;
+            let sticking = hysteresis.tangent(&memory, angle);
+            let held = hysteresis.moment_from_rest(&memory, angle) - sticking * angle;
+            let stiffer = Free { torsional_stiffness: free.torsional_stiffness + sticking, ..*free };
+            let load = Load { moment: -own * held, ..Load::default() };
+            Lumped::new(stiffer, law)?
+                .advance(&mut state, &mut 0.0, &Feedback::open(), load, pressure, h)
                 .map_err(|error| ResponseError::Integration { time: t[1], error })?;
+            hysteresis.advance(&mut memory, own * state.rotation);
             from += 1.0;
         }
         motion.push((state.extension, state.rotation));
@@ -77,7 +95,7 @@ mod tests {
         let free = Free::paper();
         let times: Vec<f64> = (0..=400).map(|i| 0.05 * f64::from(i)).collect();
         let pressures: Vec<f64> = times.iter().map(|t| 1500.0 * t).collect();
-        let motion = response(&free, Kinematics::Exact, &times, &pressures).unwrap();
+        let motion = response(&free, &Hysteresis::NONE, Kinematics::Exact, &times, &pressures).unwrap();
         assert_eq!((motion.len(), motion[0]), (401, (0.0, 0.0)));
         let model = Lumped::new(free, Law::Nonlinear(Kinematics::Exact)).unwrap();
         for (i, &(s, phi)) in motion.iter().enumerate().skip(40) {
@@ -89,12 +107,36 @@ mod tests {
     }
 
     #[test]
+    fn a_slow_cycle_with_hysteresis_is_followed_statically_and_comes_back_to_zero() {
+        for gamma in [-40f64, 40.0] {
+            let free = Free { gamma: gamma.to_radians(), ..Free::paper() };
+            let weights = [0.02, 0.01, 0.012, 0.0, 0.008, 0.004, 0.0, 0.002];
+            let hysteresis = Hysteresis::new(Hysteresis::grid(0.01, 0.3), weights).unwrap();
+            let times: Vec<f64> = (0..=1000).map(|i| 0.1 * f64::from(i)).collect();
+            let pressures: Vec<f64> = times.iter().map(|t| 600.0 * (50.0 - (t - 50.0).abs())).collect();
+            let motion = response(&free, &hysteresis, Kinematics::Exact, &times, &pressures).unwrap();
+            let model = Lumped::new(free, Law::Nonlinear(Kinematics::Exact)).unwrap();
+            let mut memory = HysteresisState::rested(&hysteresis);
+            let own = free.direction();
+            for (&(_, phi), &pressure) in motion.iter().zip(&pressures) {
+                hysteresis.advance(&mut memory, own * phi);
+                let moment = -own * hysteresis.moment_from_rest(&memory, own * phi);
+                let at = model.equilibrium_at_rotation(phi, Load { moment, ..Load::default() }).unwrap();
+                // 600 Pa/s times the relaxation of 58 ms, with the elements' stiffness on top.
+                assert!((at.pressure - pressure).abs() < 60.0, "{phi} {pressure} {at:?}");
+            }
+            // That relaxation at rest: 600 Pa/s * 58 ms * a / kt = 1.04e-3 rad.
+            assert!(motion.last().unwrap().1.abs() < 1.2e-3, "{:?}", motion.last());
+        }
+    }
+
+    #[test]
     fn sampling_the_same_history_more_finely_changes_nothing() {
         let free = Free::published_code();
         let run = |n: usize| {
             let times: Vec<f64> = (0..=n).map(|i| 0.1 * i as f64 / n as f64).collect();
             let pressures: Vec<f64> = times.iter().map(|t| 2e5 * t).collect();
-            response(&free, Kinematics::Exact, &times, &pressures).unwrap()
+            response(&free, &Hysteresis::NONE, Kinematics::Exact, &times, &pressures).unwrap()
         };
         let (coarse, fine) = (run(10), run(200));
         for (i, c) in coarse.iter().enumerate() {
@@ -104,13 +146,14 @@ mod tests {
 
     #[test]
     fn what_is_no_history_is_refused() {
-        let of = |t: &[f64], p: &[f64]| response(&Free::paper(), Kinematics::Exact, t, p);
+        let of = |t: &[f64], p: &[f64]| response(&Free::paper(), &Hysteresis::NONE, Kinematics::Exact, t, p);
         assert_eq!(of(&[], &[]).unwrap(), []);
         assert_eq!(of(&[0.0, 1.0], &[0.0]).unwrap_err(), ResponseError::Lengths { times: 2, pressures: 1 });
         assert_eq!(of(&[0.0, 1.0, 1.0], &[0.0; 3]).unwrap_err(), ResponseError::Sample(2));
         assert_eq!(of(&[0.0, 1.0], &[0.0, f64::NAN]).unwrap_err(), ResponseError::Sample(1));
         let steep = response(
             &Free { gamma: -std::f64::consts::FRAC_PI_6, ..Free::paper() },
+            &Hysteresis::NONE,
             Kinematics::Exact,
             &[0.0, 9.0],
             &[4.2e4; 2],

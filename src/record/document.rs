@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::control::{ControlConfig, ControllerKind, DerivativeOn, FreeControl, Gains, Limits};
-use crate::model::Free;
+use crate::model::{ELEMENTS, Free, Hysteresis};
 use crate::signal::Quantity;
 use crate::trajectory::Program;
 
@@ -207,6 +207,9 @@ pub struct FreeDocument {
     pub calibration_sha256: String,
     /// Its lumped model.
     pub model: ModelDocument,
+    /// Its hysteresis, where it is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hysteresis: Option<HysteresisDocument>,
     /// Its gains.
     pub gains: GainsDocument,
     /// Whether the derivative term looks at the error rather than at the measurement.
@@ -230,6 +233,7 @@ impl FreeDocument {
             preset: String::new(),
             calibration_sha256: String::new(),
             model: free.free.into(),
+            hysteresis: None,
             gains: free.gains.into(),
             derivative_on_error: free.derivative_on == DerivativeOn::Error,
             feedforward: free.feedforward,
@@ -251,6 +255,26 @@ pub struct ModelDocument {
     pub torsional_stiffness_nm_per_rad: f64,
     pub axial_damping_ns_per_m: f64,
     pub torsional_damping_nms_per_rad: f64,
+}
+
+/// Torsional hysteresis: Maxwell-slip elements.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct HysteresisDocument {
+    pub thresholds_rad: [f64; ELEMENTS],
+    pub weights_nm_per_rad: [f64; ELEMENTS],
+}
+
+impl From<Hysteresis> for HysteresisDocument {
+    fn from(h: Hysteresis) -> Self {
+        Self { thresholds_rad: *h.thresholds(), weights_nm_per_rad: *h.weights() }
+    }
+}
+
+impl From<HysteresisDocument> for Hysteresis {
+    /// None where the numbers are none of a hysteresis.
+    fn from(d: HysteresisDocument) -> Self {
+        Hysteresis::new(d.thresholds_rad, d.weights_nm_per_rad).unwrap_or_default()
+    }
 }
 
 impl From<Free> for ModelDocument {

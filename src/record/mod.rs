@@ -40,8 +40,9 @@ mod stiffness;
 pub use columns::column_name;
 pub use comparison::{Comparison, Deviation, Row};
 pub use document::{
-    Backend, ErrorDocument, FORMAT, FaultDocument, FreeDocument, GainsDocument, LimitsDocument, LoopDocument,
-    ModelDocument, RealtimeDocument, Repetition, RunDocument, RunKind, RunResult, StartDocument, StopDocument, sha256,
+    Backend, ErrorDocument, FORMAT, FaultDocument, FreeDocument, GainsDocument, HysteresisDocument, LimitsDocument,
+    LoopDocument, ModelDocument, RealtimeDocument, Repetition, RunDocument, RunKind, RunResult, StartDocument,
+    StopDocument, sha256,
 };
 pub use error::{RecordError, Result};
 pub use export::{Exported, Format, TIME_BASE, export};

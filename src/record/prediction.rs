@@ -1,4 +1,4 @@
-//! What the model makes of the pressure that a run has measured.
+//! What the model, with the hysteresis that is known, makes of the pressure that a run has measured.
 
 use super::signals::{Signals, interpolate};
 use crate::model::{Kinematics, Law, Load, Lumped, response};
@@ -21,7 +21,7 @@ pub fn dynamic(signals: &Signals) -> Result<Vec<f64>, String> {
             p.push(pressure);
         }
     }
-    let motion = response(&free, Kinematics::Exact, &t, &p).map_err(|e| e.to_string())?;
+    let motion = response(&free, &signals.hysteresis, Kinematics::Exact, &t, &p).map_err(|e| e.to_string())?;
     let angles: Vec<f64> = motion.into_iter().map(|(_, phi)| phi).collect();
     // Where the pressure is not known the model has nothing to say.
     let known = |i: usize| !measured || signals.pressure.get(i).is_some_and(|p| p.is_finite());

@@ -7,7 +7,7 @@ use super::columns::column_name;
 use super::document::RunResult;
 use super::run::Run;
 use super::{RecordError, Result};
-use crate::model::Free;
+use crate::model::{Free, Hysteresis};
 use crate::signal::Quantity;
 
 /// A reading of the pressure that is older counts as none, s: four periods of the slowest line there is.
@@ -20,6 +20,8 @@ pub struct Signals {
     pub name: String,
     /// Its model.
     pub free: Option<Free>,
+    /// Its hysteresis, as far as it is known.
+    pub hysteresis: Hysteresis,
     /// Time since the program's start, s; negative before it.
     pub t: Vec<f64>,
     /// Reference, rad; not a number where no angle was asked.
@@ -102,9 +104,11 @@ impl Signals {
         for ((pressure, read), t) in pressure.iter_mut().zip(&pressure_time).zip(t) {
             *pressure = if t - zero - read > STALE { f64::NAN } else { *pressure };
         }
+        let document = run.start().frees.iter().find(|f| f.name == name);
         let mut signals = Self {
             name: name.into(),
-            free: run.start().frees.iter().find(|f| f.name == name).map(|f| f.model.into()),
+            free: document.map(|f| f.model.into()),
+            hysteresis: document.and_then(|f| f.hysteresis).map(Hysteresis::from).unwrap_or_default(),
             t: t.iter().map(|t| t - zero).collect(),
             reference: get("reference_rad"),
             reference_pressure: get("reference_pa"),

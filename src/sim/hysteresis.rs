@@ -16,6 +16,8 @@ pub struct MaxwellSlip {
     slip: [f64; SLIDERS],
     /// Where each slider stands, rad.
     position: [f64; SLIDERS],
+    /// What the springs bear of it where the angle is counted from, N m.
+    bias: f64,
 }
 
 impl MaxwellSlip {
@@ -23,7 +25,13 @@ impl MaxwellSlip {
     /// `reach` (rad, positive): they share the moment evenly and slip at reach / 2^i.
     pub fn new(moment: f64, reach: f64) -> Self {
         let slip = std::array::from_fn(|i| reach / f64::from(1 << (SLIDERS - 1 - i)));
-        Self { stiffness: slip.map(|x| moment / SLIDERS as f64 / x), slip, position: [0.0; SLIDERS] }
+        Self { stiffness: slip.map(|x| moment / SLIDERS as f64 / x), slip, position: [0.0; SLIDERS], bias: 0.0 }
+    }
+
+    /// As a full cycle in `direction` (1 or -1) has left them: all elements are strained to their limit, and the end
+    /// rests at the angle of zero, which is counted from there.
+    pub fn rested(self, direction: f64) -> Self {
+        Self { position: self.slip.map(|x| direction * x), bias: -direction * self.saturation(), ..self }
     }
 
     /// The largest moment, N m.
@@ -34,7 +42,7 @@ impl MaxwellSlip {
     /// Moment on the end at `angle` (rad), N m, with the sliders where they stand or, beyond their limits,
     /// where `angle` drags them; it opposes the motion. Moves nothing.
     pub fn moment(&self, angle: f64) -> f64 {
-        -self.elements().map(|(k, x, z)| k * (angle - z).clamp(-x, x)).sum::<f64>()
+        self.bias - self.elements().map(|(k, x, z)| k * (angle - z).clamp(-x, x)).sum::<f64>()
     }
 
     /// Stiffness that the sticking elements add at `angle`, N m/rad.
@@ -79,6 +87,19 @@ mod tests {
             m.advance(angle);
         }
         assert!((m.moment(0.6) - before.moment(0.6)).abs() < 1e-15);
+    }
+
+    #[test]
+    fn what_has_been_cycled_rests_at_zero() {
+        for direction in [1.0, -1.0] {
+            let mut m = MaxwellSlip::new(0.01, 0.2).rested(direction);
+            assert!(m.moment(0.0).abs() < 1e-15);
+            for angle in [direction, 0.0] {
+                m.advance(angle);
+            }
+            assert!(m.moment(0.0).abs() < 1e-15, "a cycle ends where it began");
+            assert!((m.moment(direction) + direction * 0.02).abs() < 1e-15);
+        }
     }
 
     #[test]

@@ -252,7 +252,8 @@ impl Plant {
 impl Branch {
     fn new(sim: &PlantSim, rng: &mut Pcg64) -> Self {
         let free = scattered(&sim.nominal, sim.scatter, rng);
-        let friction = loop_friction(&free, sim.load_moment, sim.hysteresis);
+        // It has been under pressure before.
+        let friction = loop_friction(&free, sim.load_moment, sim.hysteresis).rested(free.direction());
         let mut tip = Tip::new(free, friction, sim.load_moment);
         tip.settle();
         let mut branch = Self {

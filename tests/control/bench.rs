@@ -233,12 +233,13 @@ pub fn calibrated(bench: &BenchConfig, seed: u64) -> (Free, Hysteresis) {
     let highest = points.iter().fold(0.0, |a: f64, p| a.max(p.0));
     let thresholds = Hysteresis::grid(0.004 * highest, 0.25 * highest);
     let unit = Hysteresis::new(thresholds, [1.0; ELEMENTS]).unwrap();
-    let mut state = HysteresisState::default();
+    let mut state = HysteresisState::rested(&unit);
     let rows: Vec<_> = points
         .iter()
         .map(|&(angle, moment)| {
             unit.advance(&mut state, angle);
-            (unit.strains(&state, angle), moment)
+            let strains = unit.strains(&state, angle);
+            (std::array::from_fn::<f64, ELEMENTS, _>(|i| strains[i] + thresholds[i]), moment)
         })
         .collect();
     let mut weights = [0.0; ELEMENTS];

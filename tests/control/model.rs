@@ -30,7 +30,7 @@ fn the_papers_trajectory_is_followed_to_a_tenth_of_a_degree() {
     for seed in 1..=6 {
         let plant = plant(Free::paper(), 0.03, seed);
         let (free, hysteresis) = calibrated(&plant, seed);
-        let control = model_config(free, ModelSpec { hysteresis, statics: None, virgin: true });
+        let control = model_config(free, ModelSpec { hysteresis, statics: None });
         let mut bench = Bench::new(&control, &plant);
         bench.arm();
         let course = bench.run(&paper_trajectory().unwrap());
@@ -60,7 +60,7 @@ fn steps_settle_nearly_as_fast_as_the_regulator_allows_and_hardly_overshoot() {
     for seed in 1..=6 {
         let plant = plant(Free::paper(), 0.03, seed);
         let (free, hysteresis) = calibrated(&plant, seed);
-        let control = model_config(free, ModelSpec { hysteresis, statics: None, virgin: true });
+        let control = model_config(free, ModelSpec { hysteresis, statics: None });
         let mut bench = Bench::new(&control, &plant);
         bench.arm();
         let course = bench.run(&paper_steps().unwrap());
@@ -91,7 +91,7 @@ fn best_settling(change: f64) -> f64 {
 fn two_hundred_plants_that_are_not_the_model_stay_stable() {
     let nominal = plant(Free::paper(), 0.0, 1);
     let (free, hysteresis) = calibrated(&nominal, 1);
-    let control = model_config(free, ModelSpec { hysteresis, statics: None, virgin: true });
+    let control = model_config(free, ModelSpec { hysteresis, statics: None });
     let (mut all, mut worst) = (Vec::new(), 0);
     for seed in 0..200 {
         let plant = off_by_a_fifth(seed);
@@ -143,7 +143,7 @@ fn shaped_steps_leave_a_ringing_free_quiet_even_where_its_mode_is_off() {
         let mut plant = plant(ringing(), 0.0, 5);
         let (free, hysteresis) = calibrated(&plant, 5);
         plant.plants[0].nominal.inertia *= off * off;
-        let control = model_config(free, ModelSpec { hysteresis, statics: None, virgin: true });
+        let control = model_config(free, ModelSpec { hysteresis, statics: None });
         let mut bench = Bench::new(&control, &plant);
         bench.arm();
         let course = bench.run(&paper_steps().unwrap());
@@ -165,7 +165,7 @@ fn an_r_free_is_followed_as_well_as_an_l_free() {
     let right = Free { gamma: -Free::paper().gamma, ..Free::paper() };
     let plant = plant(right, 0.0, 6);
     let (free, hysteresis) = calibrated(&plant, 6);
-    let mut control = model_config(free, ModelSpec { hysteresis, statics: None, virgin: true });
+    let mut control = model_config(free, ModelSpec { hysteresis, statics: None });
     control.frees[0].limits.angle_soft = (-1.6, 0.3);
     let mut bench = Bench::new(&control, &plant);
     bench.arm();
@@ -185,7 +185,7 @@ fn a_static_map_brought_to_measured_points_replaces_an_exact_geometry() {
     let free = Free { torsional_damping: real.torsional_damping, ..Free::paper() };
     let nominal = StaticMap::of_model(&free, 1.6).unwrap();
     let statics = Some(nominal.corrected(&points).unwrap());
-    let control = model_config(free, ModelSpec { hysteresis, statics, virgin: true });
+    let control = model_config(free, ModelSpec { hysteresis, statics });
     let mut bench = Bench::new(&control, &plant);
     bench.arm();
     let (rms, peak) = bench.run(&paper_trajectory().unwrap()).errors();
