@@ -39,7 +39,7 @@ const LONGEST_STEP: f64 = 2e-3;
 
 /// Open-loop response of the nonlinear model to a pressure history: (s, phi), m and rad, at each of `times` (s),
 /// with `pressures` (Pa) linear between them. Starts at rest, s = phi = 0, with the `hysteresis` as a full cycle has left
-/// it. Its corners fall into steps of at most [`LONGEST_STEP`]: what a step overlooks, the next one makes good.
+/// it. Its corners fall into steps of at most 2 ms: what a step overlooks, the next one makes good.
 pub fn response(
     free: &Free,
     hysteresis: &Hysteresis,
