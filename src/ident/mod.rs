@@ -1,6 +1,10 @@
 //! Fits: from recorded samples to parameters and their uncertainty. Pure functions; nothing here reads a clock or a
 //! file, and a fit that its data do not carry is refused by name.
 
+pub mod imu;
+mod least_squares;
+pub mod regulator;
 pub mod sweep;
 
+pub use least_squares::Measured;
 pub use sweep::{MomentPoint, RestPoint, SweepError, SweepFit, fit_sweep};
