@@ -1,14 +1,18 @@
 //! The FREE's axis in the sensor's frame, found by turning it.
 //!
-//! With the tare q0, `q0^-1 q = (cos x/2, a sin x/2)`: each reading is a rotation vector `x a` in the sensor's frame,
-//! with x up to a whole turn, the quaternion's sign following its predecessor. The axis is the line through the origin
-//! nearest to all of them (the principal axis of `sum v v^T`, v = x a), and points to where the movement is
-//! positive by the right-hand rule about the FREE's z. What is left across it is bending, or an IMU that slipped.
+//! With the tare q0, `q0^-1 q = (cos x/2, a sin x/2)` is a rotation x about a in the sensor's frame, up to a whole
+//! turn, the quaternion's sign following its predecessor. The axis is the line through the origin nearest to all the
+//! chords `v = 2 a sin x/2` (the principal axis of `sum v v^T`): a small rotation by noise moves the chord by as much
+//! across the axis whatever x is, which is not true of the rotation vector `x a`. The axis points to where the movement
+//! is positive by the right-hand rule about the FREE's z. What is left across it is bending, or an IMU that slipped.
+//!
+//! The uncertainty is the residuals', taken as independent, and the tare's: its error e moves every chord across the
+//! axis by e, turned by x/2.
 
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use thiserror::Error;
 
-use super::tare::{NORM_MAX, units};
+use super::tare::{NORM_MAX, Tare, units};
 
 /// Fewest readings.
 pub const READINGS_MIN: usize = 20;
@@ -35,7 +39,7 @@ pub enum Turn {
 pub struct AxisFit {
     /// The FREE's axis in the sensor's frame, a unit vector; rotation about it is positive as the FREE's is.
     pub axis: [f64; 3],
-    /// Standard uncertainty of its direction, rad, in each direction across it, the readings taken as independent.
+    /// Standard uncertainty of its direction, rad, in each direction across it.
     pub uncertainty: f64,
     /// The nearest of the sensor's axes: 0, 1, 2 for x, y, z.
     pub nearest: usize,
@@ -45,7 +49,7 @@ pub struct AxisFit {
     pub misalignment: f64,
     /// Farthest rotation, rad, with the sign of the turn.
     pub movement: f64,
-    /// Root mean square across the axis, rad.
+    /// Root mean square of the chords across the axis, rad.
     pub across: f64,
     /// The same, over that along the axis.
     pub share: f64,
@@ -99,31 +103,28 @@ pub enum AxisError {
 
 /// Finds the FREE's axis from orientations (w, x, y, z) while it turns from `tare` in the direction `turn`, and perhaps
 /// back.
-pub fn fit_axis(tare: [f64; 4], readings: &[[f64; 4]], turn: Turn) -> Result<AxisFit, AxisError> {
+pub fn fit_axis(tare: &Tare, readings: &[[f64; 4]], turn: Turn) -> Result<AxisFit, AxisError> {
     if readings.len() < READINGS_MIN {
         return Err(AxisError::TooFew(readings.len()));
     }
-    let tare = units(&[tare]).map_err(|(_, norm)| AxisError::Tare(norm))?[0];
+    let zero = units(&[tare.quaternion]).map_err(|(_, norm)| AxisError::Tare(norm))?[0];
     let units = units(readings).map_err(|(index, norm)| AxisError::Norm { index, norm })?;
-    let vectors = vectors(tare, &units)?;
-    let moment: Matrix3<f64> = vectors.iter().map(|v| v * v.transpose()).sum();
+    let turns = turns(zero, &units)?;
+    let chords: Vec<Vector3<f64>> = turns.iter().map(|q| 2.0 * q.vector()).collect();
+    let moment: Matrix3<f64> = chords.iter().map(|v| v * v.transpose()).sum();
     let eigen = moment.symmetric_eigen();
     let mut axis: Vector3<f64> = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into();
-    let extremes = |axis: &Vector3<f64>| {
-        let along = vectors.iter().map(|v| v.dot(axis));
-        along.fold((0.0f64, 0.0f64), |(low, high), x| (low.min(x), high.max(x)))
-    };
     // First towards the movement, then by the sign that the movement has.
-    let (low, high) = extremes(&axis);
+    let (low, high) = extremes(&turns, &axis);
     if -low > high {
         axis = -axis;
     }
-    let (low, high) = extremes(&axis);
+    let (low, high) = extremes(&turns, &axis);
     if high < MOVEMENT_MIN {
         return Err(AxisError::TooSmall(high));
     }
-    let along: f64 = vectors.iter().map(|v| v.dot(&axis).powi(2)).sum();
-    let across: f64 = vectors.iter().map(|v| (v - axis * v.dot(&axis)).norm_squared()).sum();
+    let along: f64 = chords.iter().map(|v| v.dot(&axis).powi(2)).sum();
+    let across: f64 = chords.iter().map(|v| (v - axis * v.dot(&axis)).norm_squared()).sum();
     let share = (across / along).sqrt();
     if share > ACROSS_MAX {
         return Err(AxisError::Across { share });
@@ -131,16 +132,21 @@ pub fn fit_axis(tare: [f64; 4], readings: &[[f64; 4]], turn: Turn) -> Result<Axi
     if -low > BACK_MAX * high {
         return Err(AxisError::BothWays { there: high, back: -low });
     }
+    let (cosines, sines) = turns.iter().zip(&chords).fold((0.0, 0.0), |(c, s), (q, v)| {
+        let chord = v.dot(&axis);
+        (c + chord * q.w, s + 0.5 * chord * chord)
+    });
+    let from_tare = cosines.hypot(sines) / along * tare.uncertainty;
     let (axis, movement) = match turn {
         Turn::Positive => (axis, high),
         Turn::Negative => (-axis, -high),
     };
     let nearest = axis.iamax();
-    let count = vectors.len() as f64;
+    let count = chords.len() as f64;
     Ok(AxisFit {
         axis: axis.into(),
         // The slope of a line through the origin, in each of the two directions across.
-        uncertainty: (0.5 * across / (count - 1.0) / along).sqrt(),
+        uncertainty: (0.5 * across / (count - 1.0) / along).sqrt().hypot(from_tare),
         nearest,
         along: axis[nearest] > 0.0,
         misalignment: axis[nearest].abs().min(1.0).acos(),
@@ -151,10 +157,16 @@ pub fn fit_axis(tare: [f64; 4], readings: &[[f64; 4]], turn: Turn) -> Result<Axi
     })
 }
 
-/// Rotation vectors from the tare, in the sensor's frame, rad; longer than pi where the FREE turned that far.
-fn vectors(tare: UnitQuaternion<f64>, units: &[UnitQuaternion<f64>]) -> Result<Vec<Vector3<f64>>, AxisError> {
+/// Smallest and largest rotation about `axis`, rad.
+fn extremes(turns: &[Quaternion<f64>], axis: &Vector3<f64>) -> (f64, f64) {
+    let angles = turns.iter().map(|q| 2.0 * q.vector().dot(axis).atan2(q.w));
+    angles.fold((0.0, 0.0), |(low, high), x| (low.min(x), high.max(x)))
+}
+
+/// Rotations from the tare in the sensor's frame, w negative where the FREE turned farther than half a turn.
+fn turns(tare: UnitQuaternion<f64>, units: &[UnitQuaternion<f64>]) -> Result<Vec<Quaternion<f64>>, AxisError> {
     let mut before = Quaternion::new(1.0, 0.0, 0.0, 0.0);
-    let mut vectors = Vec::with_capacity(units.len());
+    let mut turns = Vec::with_capacity(units.len());
     for (index, unit) in units.iter().enumerate() {
         let mut q = (tare.inverse() * unit).into_inner();
         if q.dot(&before) < 0.0 {
@@ -164,12 +176,8 @@ fn vectors(tare: UnitQuaternion<f64>, units: &[UnitQuaternion<f64>]) -> Result<V
         if angle > JUMP_MAX {
             return Err(AxisError::Jump { index, angle });
         }
+        turns.push(q);
         before = q;
-        let v = q.vector();
-        let sine = v.norm();
-        // Twice the vector part is the rotation vector of a small rotation.
-        let factor = if sine > 1e-9 { 2.0 * sine.atan2(q.w) / sine } else { 2.0 };
-        vectors.push(v * factor);
     }
-    Ok(vectors)
+    Ok(turns)
 }
