@@ -77,7 +77,8 @@ fn noise_quantum_drift_and_jitter_come_back() {
 fn missing_readings_are_counted_and_a_few_allowed() {
     let mut rng = Pcg64Mcg::seed_from_u64(2);
     let all = Still::RIG.samples(&mut rng);
-    let kept: Vec<_> = all.iter().enumerate().filter(|(i, _)| i % 100 != 7 && !(500..520).contains(i)).map(|(_, s)| *s).collect();
+    let kept: Vec<_> =
+        all.iter().enumerate().filter(|(i, _)| i % 100 != 7 && !(500..520).contains(i)).map(|(_, s)| *s).collect();
     let fit = noise_and_drift(&kept, &rules()).unwrap();
     assert_eq!(fit.missing, all.len() - kept.len());
     assert!((fit.longest_gap - 0.22).abs() < 0.02, "{fit:?}");
@@ -132,8 +133,11 @@ fn a_sensor_that_must_not_be_used_is_refused_with_value_and_rule() {
     let turned: Vec<_> = good.iter().map(turned).collect();
     let refused = noise_and_drift(&turned, &rules());
     assert!(matches!(refused, Err(StillError::Moving { angle, .. }) if angle > 1.0 * DEG), "{refused:?}");
-    let knocked: Vec<_> =
-        good.iter().enumerate().map(|(i, s)| StillSample { rate: s.rate + if i == 900 { 20.0 * DEG } else { 0.0 }, ..*s }).collect();
+    let knocked: Vec<_> = good
+        .iter()
+        .enumerate()
+        .map(|(i, s)| StillSample { rate: s.rate + if i == 900 { 20.0 * DEG } else { 0.0 }, ..*s })
+        .collect();
     assert!(matches!(noise_and_drift(&knocked, &rules()), Err(StillError::Turning { rate, .. }) if rate > 19.0 * DEG));
     assert_eq!(noise_and_drift(&good[..100], &rules()), Err(StillError::TooFew(100)));
     let mut bad = good.clone();
@@ -162,7 +166,13 @@ fn shaken(sigma: f64, rng: &mut Pcg64Mcg) -> UnitQuaternion<f64> {
 }
 
 /// Turned to `far` (rad, with its sign) and back about `axis` from `base`, with `bend` of it about another axis.
-fn turning(base: UnitQuaternion<f64>, axis: Unit<Vector3<f64>>, far: f64, bend: f64, rng: &mut Pcg64Mcg) -> Vec<[f64; 4]> {
+fn turning(
+    base: UnitQuaternion<f64>,
+    axis: Unit<Vector3<f64>>,
+    far: f64,
+    bend: f64,
+    rng: &mut Pcg64Mcg,
+) -> Vec<[f64; 4]> {
     let other = Unit::new_normalize(axis.cross(&Vector3::new(0.3, -0.5, 0.8)));
     let reading = |i: i32| {
         let x = 0.5 * far * (1.0 - (std::f64::consts::TAU * f64::from(i) / 300.0).cos());
@@ -194,7 +204,8 @@ fn tare_axis_and_sign_come_back_with_their_uncertainty() {
         let (base, axis) = (somewhere(&mut rng), direction(&mut rng));
         let tare = fit_tare(&still(base, &mut rng)).unwrap();
         let [w, x, y, z] = tare.quaternion;
-        let error = (base.inverse() * UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z))).scaled_axis();
+        let error =
+            (base.inverse() * UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z))).scaled_axis();
         assert!(error.norm() < 0.03 * DEG, "{error}");
         tares += usize::from(error.x.abs() < 1.96 * tare.uncertainty);
         // Far beyond half a turn as well.

@@ -62,8 +62,10 @@ impl Truth {
         let first = rng.random_range(0.0..period);
         let count = ((end - first) / period) as usize;
         // The device's period jitters by 2 % of itself.
-        let times: Vec<f64> =
-            (0..count).map(|i| first + period * (i as f64 + rng.random_range(-0.02..0.02))).filter(|t| *t > 0.0).collect();
+        let times: Vec<f64> = (0..count)
+            .map(|i| first + period * (i as f64 + rng.random_range(-0.02..0.02)))
+            .filter(|t| *t > 0.0)
+            .collect();
         let noise = Normal::new(0.0, self.noise).unwrap();
         let exact = self.pressures(commands, &times, 1e-5);
         let read = |(&time, p): (&f64, f64)| {
@@ -76,7 +78,10 @@ impl Truth {
 
 /// Steps of different sizes, up and down, in psi, one each 1.1 s.
 fn steps(levels: &[f64]) -> Vec<Command> {
-    let command = |(i, &psi): (usize, &f64)| Command { time: if i == 0 { 0.0 } else { 1.1 * i as f64 - 0.4 }, pressure: psi * PSI };
+    let command = |(i, &psi): (usize, &f64)| Command {
+        time: if i == 0 { 0.0 } else { 1.1 * i as f64 - 0.4 },
+        pressure: psi * PSI,
+    };
     levels.iter().enumerate().map(command).collect()
 }
 
@@ -125,8 +130,7 @@ fn the_substep_of_the_simulated_plant_is_not_seen() {
     let commands = steps(&LARGE);
     let times: Vec<f64> = (1..500).map(|i| 0.0201 * f64::from(i)).collect();
     let pressures = truth.pressures(&commands, &times, 250e-6);
-    let readings: Vec<_> =
-        times.iter().zip(pressures).map(|(&time, pressure)| Reading { time, pressure }).collect();
+    let readings: Vec<_> = times.iter().zip(pressures).map(|(&time, pressure)| Reading { time, pressure }).collect();
     let fit = fit_steps(&commands, &readings).unwrap();
     assert!((fit.dead_time.value - 0.015).abs() < 3e-4, "{fit:?}");
     assert!((fit.lag.value / 0.060 - 1.0).abs() < 5e-3, "{fit:?}");
@@ -275,7 +279,8 @@ fn an_analogue_regulator_that_does_not_reach_zero_has_a_floor() {
 fn staircases_of_unsound_regulators_are_refused_with_value_and_rule() {
     let mut rng = Pcg64Mcg::seed_from_u64(8);
     let rules = StaircaseRules::default();
-    let mut fit = |pressure: &dyn Fn(f64, Direction) -> f64| fit_staircase(&staircase(pressure, 0.005 * PSI, &mut rng), &rules);
+    let mut fit =
+        |pressure: &dyn Fn(f64, Direction) -> f64| fit_staircase(&staircase(pressure, 0.005 * PSI, &mut rng), &rules);
     // The simulated valve behind a leak: its settled pressure is 1 / (1 + lag / leak) of the command.
     let settled = |leak: f64| 1.0 / (1.0 + 0.06 / leak);
     let on_the_way_up = fit(&|c, d| {
@@ -312,7 +317,8 @@ fn trials(gain: &[&[f64]], rng: &mut Pcg64Mcg) -> Vec<Trial> {
     let mut trials = Vec::new();
     for round in 0..2 {
         for on in 0..=channels {
-            let commands: Vec<f64> = (0..channels).map(|c| if c == on { 1000.0 + 200.0 * f64::from(round) } else { 0.0 }).collect();
+            let commands: Vec<f64> =
+                (0..channels).map(|c| if c == on { 1000.0 + 200.0 * f64::from(round) } else { 0.0 }).collect();
             let pressure = |row: &&[f64]| row.iter().zip(&commands).map(|(g, c)| g * c * PSI / 1000.0).sum::<f64>();
             let pressures = gain.iter().map(|row| pressure(row) + 0.3 * PSI + noise.sample(rng)).collect();
             trials.push(Trial { commands, pressures });
@@ -324,7 +330,10 @@ fn trials(gain: &[&[f64]], rng: &mut Pcg64Mcg) -> Vec<Trial> {
 #[test]
 fn the_channel_map_is_measured() {
     let mut rng = Pcg64Mcg::seed_from_u64(10);
-    let crossed = trials(&[&[0.0, 0.0, 3.0, 0.02], &[2.0, 0.0, 0.01, 0.0], &[0.0, 0.0, 0.0, 3.0], &[0.0, 3.0, 0.0, 0.0]], &mut rng);
+    let crossed = trials(
+        &[&[0.0, 0.0, 3.0, 0.02], &[2.0, 0.0, 0.01, 0.0], &[0.0, 0.0, 0.0, 3.0], &[0.0, 3.0, 0.0, 0.0]],
+        &mut rng,
+    );
     let map = map_channels(&crossed, PSI).unwrap();
     assert_eq!(map.channels, [2, 0, 3, 1]);
     assert!((map.responses[1].value / (2.4 * PSI) - 1.0).abs() < 0.02 && map.crosstalk < 0.02, "{map:?}");

@@ -31,7 +31,7 @@ impl Measured {
     }
 
     /// The same in a unit `factor` times smaller.
-    pub(super) fn times(self, factor: f64) -> Self {
+    pub fn times(self, factor: f64) -> Self {
         Self { value: factor * self.value, uncertainty: factor.abs() * self.uncertainty, ..self }
     }
 }
@@ -191,7 +191,9 @@ mod tests {
 
     #[test]
     fn students_points_are_those_of_the_tables() {
-        for (freedom, point) in [(1, 12.706), (2, 4.303), (3, 3.182), (6, 2.447), (10, 2.228), (30, 2.042), (1000, 1.962)] {
+        for (freedom, point) in
+            [(1, 12.706), (2, 4.303), (3, 3.182), (6, 2.447), (10, 2.228), (30, 2.042), (1000, 1.962)]
+        {
             assert!((student_975(freedom) / point - 1.0).abs() < 0.012, "{freedom}: {}", student_975(freedom));
         }
     }
@@ -200,10 +202,9 @@ mod tests {
     fn a_line_comes_out_as_the_textbook_has_it() {
         // y = 2 + 3 x with residuals +1, -1, -1, +1 off a line at x = 0, 1, 2, 3: s2 = 4 / 2, var(slope) = s2 / 5.
         let y = [3.0, 4.0, 7.0, 12.0];
-        let fit = least_squares(&[0.0, 0.0], &[1.0, 1.0], |p| {
-            Some((0..4).map(|i| p[0] + p[1] * i as f64 - y[i]).collect())
-        })
-        .unwrap();
+        let fit =
+            least_squares(&[0.0, 0.0], &[1.0, 1.0], |p| Some((0..4).map(|i| p[0] + p[1] * i as f64 - y[i]).collect()))
+                .unwrap();
         assert!((fit.parameters[0] - 2.0).abs() < 1e-9 && (fit.parameters[1] - 3.0).abs() < 1e-9);
         assert!((fit.sum - 4.0).abs() < 1e-9);
         assert!((fit.measured(1).uncertainty - (2.0f64 / 5.0).sqrt()).abs() < 1e-8);
@@ -211,10 +212,9 @@ mod tests {
 
     #[test]
     fn rosenbrocks_valley_is_followed_to_its_end() {
-        let fit = least_squares(&[-1.2, 1.0], &[1.0, 1.0], |p| {
-            Some(vec![10.0 * (p[1] - p[0] * p[0]), 1.0 - p[0], 0.0])
-        })
-        .unwrap();
+        let fit =
+            least_squares(&[-1.2, 1.0], &[1.0, 1.0], |p| Some(vec![10.0 * (p[1] - p[0] * p[0]), 1.0 - p[0], 0.0]))
+                .unwrap();
         assert!((fit.parameters[0] - 1.0).abs() < 1e-6 && (fit.parameters[1] - 1.0).abs() < 1e-6, "{fit:?}");
     }
 

@@ -125,7 +125,10 @@ pub fn map_channels(trials: &[Trial], least: f64) -> Result<ChannelMap, ChannelE
             }
             own.push((pressure, Ok(best)));
         } else {
-            own.push((pressure, Err(ChannelError::Dead { pressure, response, uncertainty, least, dead: dead.clone() })));
+            own.push((
+                pressure,
+                Err(ChannelError::Dead { pressure, response, uncertainty, least, dead: dead.clone() }),
+            ));
         }
     }
     let found = |p: usize| own[p].1.as_ref().ok().copied();
@@ -169,11 +172,8 @@ fn responses(trials: &[Trial]) -> Result<Vec<Vec<Measured>>, ChannelError> {
         let right = DVector::from_iterator(trials.len(), trials.iter().map(|t| t.pressures[p]));
         let solution = &inverse * (matrix.transpose() * &right);
         let variance = (&right - &matrix * &solution).norm_squared() / freedom as f64;
-        let measured = |j: usize| Measured {
-            value: solution[j],
-            uncertainty: (variance * inverse[(j, j)]).sqrt(),
-            freedom,
-        };
+        let measured =
+            |j: usize| Measured { value: solution[j], uncertainty: (variance * inverse[(j, j)]).sqrt(), freedom };
         (1..=channels).map(measured).collect()
     };
     Ok((0..pressures).map(row).collect())

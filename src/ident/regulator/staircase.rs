@@ -126,7 +126,9 @@ pub enum StaircaseError {
         high: f64,
     },
     /// No line.
-    #[error("at command {command} the pressure is {off} Pa off the line, {share} of the range; at most {limit} is allowed")]
+    #[error(
+        "at command {command} the pressure is {off} Pa off the line, {share} of the range; at most {limit} is allowed"
+    )]
     NotLinear {
         /// Command of the greatest distance.
         command: f64,
@@ -207,9 +209,7 @@ fn levels(points: &[StairPoint]) -> Result<Vec<Level>, StaircaseError> {
         let command = group[0].command;
         let end = index == 0 || index == groups.len() - 1;
         match (mean(Direction::Rising), mean(Direction::Falling)) {
-            (Some(up), Some(down)) => {
-                Ok(Level { command, pressure: 0.5 * (up + down), difference: down - up })
-            }
+            (Some(up), Some(down)) => Ok(Level { command, pressure: 0.5 * (up + down), difference: down - up }),
             (Some(one), None) | (None, Some(one)) if end => Ok(Level { command, pressure: one, difference: 0.0 }),
             _ => Err(StaircaseError::OneWay(command)),
         }
@@ -257,11 +257,8 @@ fn split(levels: &[Level], below: usize) -> Option<(StaircaseFit, f64)> {
     let left = &right - &matrix * &solution;
     let freedom = count - 2 - extra;
     let variance = left.norm_squared() / freedom as f64;
-    let measured = |j: usize| Measured {
-        value: solution[j],
-        uncertainty: (variance * inverse[(j, j)]).sqrt(),
-        freedom,
-    };
+    let measured =
+        |j: usize| Measured { value: solution[j], uncertainty: (variance * inverse[(j, j)]).sqrt(), freedom };
     let (zero, span, floor) = (measured(extra), measured(extra + 1), (below > 0).then(|| measured(0)));
     let greatest = levels.iter().map(|l| l.difference).fold(0.0, f64::max);
     let farthest = left.iamax();

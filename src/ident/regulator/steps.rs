@@ -261,7 +261,8 @@ impl Record<'_> {
         let zero = lowest(&mut self.readings.iter().map(|r| r.pressure))
             - span * lowest(&mut self.commands.iter().map(|c| c.pressure));
         let fastest = |sign: f64| {
-            let rates = self.readings.windows(2).map(|w| sign * (w[1].pressure - w[0].pressure) / (w[1].time - w[0].time));
+            let rates =
+                self.readings.windows(2).map(|w| sign * (w[1].pressure - w[0].pressure) / (w[1].time - w[0].time));
             rates.fold(0.0, f64::max)
         };
         let slews: &[f64] = if rise || fall { &SLEWS } else { &SLEWS[..1] };
