@@ -89,7 +89,7 @@ fn answers_come_from_a_script_and_a_wrong_one_is_named() {
     let calibrate = || freerig(folder.path(), &["calibrate", "stiffness", "--stepped", "--script", "answers.toml"]);
     refused(&calibrate(), 2, &["answers.toml"]);
     fs::write(&script, "ready = [\"stifness\"]\n").unwrap();
-    refused(&calibrate(), 2, &["answers.toml:1", "stifness", "write some of: stiffness"]);
+    refused(&calibrate(), 2, &["answers.toml:1", "stifness", "write some of: regulator, stiffness"]);
     fs::write(&script, "ready = []\n").unwrap();
     refused(&calibrate(), 2, &["stiffness", "ready", "hangs free"]);
     refused(&freerig(folder.path(), &["calibrate", "stiffness", "--free", "other"]), 2, &["`other`", "paper"]);
@@ -111,4 +111,23 @@ fn tuned_gains_have_the_margins_asked_for_and_can_be_used() {
     assert!(used["beside"].as_array().unwrap().iter().all(|r| r["name"] != "tuned-model"));
     assert!(freerig(folder.path(), &["config", "check"]).status.success());
     refused(&freerig(folder.path(), &["tune", "--damping", "2"]), 2, &["damping", "2", "between 0 and 1"]);
+}
+
+#[test]
+fn the_regulators_lag_and_dead_time_are_measured_through_line_and_device() {
+    let folder = bench();
+    // The calibration knows neither; the simulated regulator has 60 and 15 ms.
+    let file = folder.path().join("calibration/paper.toml");
+    edit(&file, "lag_ms = { value = 60.0,", "lag_ms = { value = 100.0,");
+    edit(&file, "dead_time_ms = { value = 15.0,", "dead_time_ms = { value = 30.0,");
+    let found = json(&freerig(folder.path(), &["calibrate", "regulator", "--stepped", "--json"]));
+    let of = |key: &str| {
+        let values = found["values"].as_array().unwrap();
+        values.iter().find(|v| v["key"] == key).unwrap()["value"].as_f64().unwrap()
+    };
+    // When a command is taken up within a tick (2 ms) is not recorded, and 1 % of the lag for the device's turns.
+    assert!((of("lag_ms") - 60.0).abs() < 1.2, "{found}");
+    assert!((of("dead_time_ms") - 15.0).abs() < 1.0, "{found}");
+    let page = fs::read_to_string(folder.path().join(found["report"].as_str().unwrap())).unwrap();
+    assert!(page.contains("SIMULATED") && page.contains("span"));
 }

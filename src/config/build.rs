@@ -101,15 +101,30 @@ fn dead_time(known: &Calibration) -> f64 {
     known.value(&keys::REGULATOR_DEAD_TIME).unwrap_or(NOMINAL_DEAD_TIME)
 }
 
+/// From the taking of a command to its arrival, s.
+fn transport_of(control: &FreeControl, known: &Calibration) -> f64 {
+    (control.regulator.dead_time.as_secs_f64() - dead_time(known)).max(0.0)
+}
+
 impl Rig {
+    /// Time of a command on its way to the regulator of the FREE `index`, s; zero where there is no such FREE.
+    pub fn transport(&self, index: usize) -> f64 {
+        self.control.frees.get(index).zip(self.calibrations.get(index)).map_or(0.0, |(c, k)| transport_of(c, k))
+    }
+
+    /// Time of a reading on its way back, s; zero where there is no such FREE.
+    pub fn reply(&self, index: usize) -> f64 {
+        self.transport(index) * (TRANSACTION_CHARACTERS - COMMAND_CHARACTERS) / COMMAND_CHARACTERS
+    }
+
     /// Has the FREE `index` controlled by what `calibration` says; the simulated FREE stays what it is. Gains that the
     /// rig names stay, too.
     pub fn adopt(&mut self, index: usize, calibration: Calibration) {
         let (Some(control), Some(known)) = (self.control.frees.get_mut(index), self.calibrations.get_mut(index)) else {
             return;
         };
-        let transport = control.regulator.dead_time.as_secs_f64() - dead_time(known);
-        take(control, &calibration, transport.max(0.0));
+        let transport = transport_of(control, known);
+        take(control, &calibration, transport);
         *known = calibration;
     }
 }

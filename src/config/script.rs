@@ -11,7 +11,7 @@ use super::problem::ConfigError;
 use super::reader::{Section, Source};
 
 /// What can be ready.
-const STEPS: [&str; 1] = ["stiffness"];
+const STEPS: [&str; 2] = ["regulator", "stiffness"];
 
 /// The answers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

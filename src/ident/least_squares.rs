@@ -90,7 +90,7 @@ impl Least {
 }
 
 /// Minimises the sum of squares of what `residuals` gives (`None` outside its domain) from `start`. `scale` is what
-/// counts as a large change of each parameter. `None` if the start is outside, there are no more residuals than
+/// counts as a large change of each parameter; without any, the sum is all there is. `None` if the start is outside, there are no more residuals than
 /// parameters, or a parameter has no influence there.
 pub(super) fn least_squares(
     start: &[f64],
@@ -106,6 +106,10 @@ pub(super) fn least_squares(
     let (mut r, mut sum) = evaluate(&x)?;
     if r.len() <= x.len() {
         return None;
+    }
+    if x.is_empty() {
+        let freedom = r.len();
+        return Some(Least { parameters: x, covariance: DMatrix::zeros(0, 0), sum, freedom });
     }
     let mut damping = 1e-3;
     let mut jacobian = slopes(&x, scale, r.len(), &residuals)?;

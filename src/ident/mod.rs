@@ -3,8 +3,11 @@
 
 pub mod imu;
 mod least_squares;
+pub mod material;
 pub mod regulator;
+pub mod ringdown;
 pub mod sweep;
 
 pub use least_squares::Measured;
+pub use ringdown::{Channel, Decay, RingDown, RingDownError, fit_ring_down};
 pub use sweep::{MomentPoint, RestPoint, SweepError, SweepFit, fit_sweep};

@@ -6,9 +6,11 @@ mod bench;
 pub mod chips;
 mod closed_loop;
 mod hysteresis;
+pub mod identification;
 mod plant;
 mod regulator;
 mod rig;
+pub mod ringdown;
 mod tip;
 mod valve;
 

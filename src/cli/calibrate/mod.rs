@@ -1,5 +1,6 @@
 //! `freerig calibrate`: measures what is not known of a FREE, and puts it into its calibration file.
 
+mod regulator;
 mod stiffness;
 
 use std::io::{self, BufRead, IsTerminal, Write as _};
@@ -37,6 +38,8 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
+    /// Lag, dead time and slew of the pressure regulator, its zero, span and hysteresis
+    Regulator(How),
     /// Torsional stiffness kt and hysteresis, from a staircase of pressure
     Stiffness(How),
 }
@@ -61,6 +64,7 @@ struct How {
 /// Carries out the calibration.
 pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     match args.what {
+        What::Regulator(how) => regulator::run(&how, context),
         What::Stiffness(how) => stiffness::run(&how, context),
     }
 }
@@ -173,15 +177,21 @@ fn tell(finding: &Finding, rig: &Rig, index: usize, run: &Run, context: &Context
     if context.json { context.print_json(&answer) } else { context.print(answer.text()) }
 }
 
+/// Four significant digits.
+fn significant(value: f64) -> String {
+    let digits = if value == 0.0 { 0.0 } else { (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) };
+    format!("{value:.0$}", digits as usize)
+}
+
 impl Answer<'_> {
     fn text(&self) -> String {
         let mut table =
             super::table::Table::new(&["value", ">before", ">now", ">standard uncertainty", ">section law"]);
-        let dash = |value: Option<f64>| value.map_or("-".into(), |v| format!("{v:.5}"));
+        let dash = |value: Option<f64>| value.map_or("-".into(), significant);
         for v in self.values {
-            let uncertainty =
-                format!("{:.5} ({:.2} %)", v.standard_uncertainty, 100.0 * v.standard_uncertainty / v.value);
-            table.row([v.key.into(), dash(v.before), format!("{:.5}", v.value), uncertainty, dash(v.prediction)]);
+            let percent = 100.0 * v.standard_uncertainty / v.value.abs();
+            let uncertainty = format!("{} ({percent:.2} %)", significant(v.standard_uncertainty));
+            table.row([v.key.into(), dash(v.before), significant(v.value), uncertainty, dash(v.prediction)]);
         }
         let simulated = if self.simulated { "SIMULATED: devices and FREE are simulated\n\n" } else { "" };
         let remarks: String = self.remarks.iter().map(|remark| format!("\nnote: {remark}")).collect();

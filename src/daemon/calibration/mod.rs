@@ -6,21 +6,23 @@
 //! with its standard uncertainty, method, residual, date and run, and a page that shows the fit over the data. Nothing
 //! is written before all of that has been successful.
 
+pub mod regulator;
 pub mod stiffness;
 
 use thiserror::Error;
 
 use crate::config::Calibration;
-use crate::ident::SweepError;
+use crate::config::calibration::{Entry, Key};
+use crate::ident::{Measured, SweepError};
 use crate::model::{EquilibriumError, FreeError};
-use crate::record::{RecordError, Sheet};
+use crate::record::{RecordError, Run, Sheet};
 
 /// What a calibration found.
 #[derive(Clone, Debug)]
 pub struct Finding {
     /// The FREE's calibration with the new values in it.
     pub calibration: Calibration,
-    /// Name of each new value with its unit, before, now, standard uncertainty.
+    /// The new values, in the units of their keys.
     pub values: Vec<FoundValue>,
     /// What the user should know about them.
     pub remarks: Vec<String>,
@@ -43,6 +45,45 @@ pub struct FoundValue {
     pub prediction: Option<f64>,
 }
 
+/// Where new values come from.
+struct Origin<'a> {
+    run: &'a Run,
+    /// `YYYY-MM-DD`.
+    date: &'a str,
+    method: &'a str,
+    /// Of the fit.
+    residual: Option<f64>,
+}
+
+impl Origin<'_> {
+    /// Enters `found`, in the unit of `key`, into `calibration`.
+    fn enter(&self, calibration: &mut Calibration, key: &Key, found: Measured, prediction: Option<f64>) -> FoundValue {
+        let before = calibration.entry(key).cloned();
+        let simulated = self.run.start().simulated();
+        let nominal = before.as_ref().map_or(found.value, |b| b.simulated_nominal.unwrap_or(b.value));
+        calibration.set(
+            key,
+            Entry {
+                value: found.value,
+                standard_uncertainty: Some(found.uncertainty),
+                method: format!("{}{}", if simulated { "SIMULATED: " } else { "" }, self.method),
+                residual: self.residual,
+                date: Some(self.date.to_owned()),
+                run: Some(self.run.id().to_owned()),
+                prediction,
+                simulated_nominal: simulated.then_some(nominal),
+            },
+        );
+        FoundValue {
+            key: key.name,
+            before: before.map(|b| b.value),
+            value: found.value,
+            standard_uncertainty: found.uncertainty,
+            prediction,
+        }
+    }
+}
+
 /// Why there is no calibration.
 #[derive(Debug, Error)]
 pub enum CalibrationError {
@@ -61,6 +102,14 @@ pub enum CalibrationError {
         run: String,
         /// Why.
         source: SweepError,
+    },
+    /// The run says nothing, or nothing good, of the regulator.
+    #[error("the run {run}: {reason}")]
+    Regulator {
+        /// Its id.
+        run: String,
+        /// Why.
+        reason: String,
     },
     /// The model has no such FREE.
     #[error(transparent)]
@@ -81,6 +130,10 @@ impl CalibrationError {
             CalibrationError::Sweep { .. } => {
                 "look at the run's report: nothing may hold the FREE or leak, and the winding angle, its sign and the \
                  radius in the calibration must be right; the old calibration is untouched"
+            }
+            CalibrationError::Regulator { .. } => {
+                "look at the run's report; check supply, tubes and the unit's range and loop gains; the old calibration \
+                 is untouched"
             }
             CalibrationError::Free(_) | CalibrationError::Equilibrium(_) => {
                 "correct the geometry and the stiffnesses in the calibration: they are the start of the search"

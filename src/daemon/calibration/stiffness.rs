@@ -2,11 +2,11 @@
 
 use std::fmt::Write as _;
 
-use super::{CalibrationError, Finding, FoundValue};
-use crate::config::calibration::{Entry, Key, keys};
+use super::{CalibrationError, Finding, FoundValue, Origin};
+use crate::config::calibration::keys;
 use crate::config::{Calibration, Rig};
 use crate::fem::linear::LinearSection;
-use crate::ident::{SweepFit, fit_sweep};
+use crate::ident::{Measured, SweepFit, fit_sweep};
 use crate::model::{EquilibriumError, Kinematics, Law, Lumped};
 use crate::record::{Run, stiffness_sheet};
 use crate::units::PASCAL_PER_PSI;
@@ -84,28 +84,11 @@ pub fn evaluate(rig: &Rig, subject: usize, run: &Run, date: &str) -> Result<Find
     let fit = fit_sweep(&points, &free.free)
         .map_err(|source| CalibrationError::Sweep { run: run.id().to_owned(), source })?;
     let mut calibration = rig.calibrations[subject].clone();
-    let key: &Key = &keys::TORSIONAL_STIFFNESS;
-    let found = FoundValue {
-        key: key.name,
-        before: calibration.value(key),
-        value: fit.stiffness,
-        standard_uncertainty: fit.stiffness_uncertainty,
-        prediction: prediction(&calibration),
-    };
-    let simulated_nominal = run.start().simulated().then(|| nominal(&calibration, key)).flatten();
-    calibration.set(
-        key,
-        Entry {
-            value: fit.stiffness,
-            standard_uncertainty: Some(fit.stiffness_uncertainty),
-            method: method(&fit, run),
-            residual: Some(fit.residual),
-            date: Some(date.to_owned()),
-            run: Some(run.id().to_owned()),
-            prediction: found.prediction,
-            simulated_nominal,
-        },
-    );
+    let method = format!("least squares over {} points at rest of a staircase of pressure", fit.points.len());
+    let origin = Origin { run, date, method: &method, residual: Some(fit.residual) };
+    let kt = Measured { value: fit.stiffness, uncertainty: fit.stiffness_uncertainty, freedom: fit.points.len() };
+    let prediction = prediction(&calibration);
+    let found = origin.enter(&mut calibration, &keys::TORSIONAL_STIFFNESS, kt, prediction);
     calibration.hysteresis = Some(fit.hysteresis);
     let remarks = remarks(&fit);
     let title = format!("Stiffness and hysteresis of {}", free.name);
@@ -114,20 +97,10 @@ pub fn evaluate(rig: &Rig, subject: usize, run: &Run, date: &str) -> Result<Find
     Ok(Finding { calibration, values: vec![found], remarks, sheet })
 }
 
-/// What the simulated FREE is scattered around, in the unit of `key`.
-fn nominal(calibration: &Calibration, key: &Key) -> Option<f64> {
-    calibration.entry(key).map(|entry| entry.simulated_nominal.unwrap_or(entry.value))
-}
-
 /// kt of the closed-form section law, N m/rad; `None` where the tube is none.
 fn prediction(calibration: &Calibration) -> Option<f64> {
     let section = LinearSection::new(&calibration.tube().0).ok()?;
     Some(section.lumped(calibration.free().length).torsional).filter(|kt| kt.is_finite())
-}
-
-fn method(fit: &SweepFit, run: &Run) -> String {
-    let simulated = if run.start().simulated() { "SIMULATED: " } else { "" };
-    format!("{simulated}least squares over {} points at rest of a staircase of pressure", fit.points.len())
 }
 
 fn remarks(fit: &SweepFit) -> Vec<String> {

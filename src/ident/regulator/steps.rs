@@ -57,7 +57,7 @@ pub struct Reading {
 }
 
 /// How a regulator follows its command.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct StepsFit {
     /// Dead time, s. May be slightly negative where it is zero within its uncertainty.
     pub dead_time: Measured,
@@ -73,8 +73,8 @@ pub struct StepsFit {
     pub span: Measured,
     /// Root mean square of what is left over, Pa: the readings' noise, if the regulator follows the model.
     pub residual: f64,
-    /// Readings that were used.
-    pub readings: usize,
+    /// The model's pressure at each reading, Pa.
+    pub fitted: Vec<f64>,
 }
 
 /// Why there is no fit.
@@ -165,7 +165,7 @@ pub fn fit_steps(commands: &[Command], readings: &[Reading]) -> Result<StepsFit,
         rise: rise.then(|| least.measured(5)),
         fall: fall.then(|| least.measured(5 + usize::from(rise))),
         residual: least.deviation(),
-        readings: readings.len(),
+        fitted: record.pressures(&least.parameters, rise, fall).ok_or(StepsError::NotConverged)?,
     };
     let period = (readings[readings.len() - 1].time - readings[0].time) / (readings.len() - 1) as f64;
     judge(&fit, range, period)?;
@@ -188,10 +188,38 @@ fn check(commands: &[Command], readings: &[Reading]) -> Result<(), StepsError> {
     }
     let least = STEP_MIN * range(commanded.iter().map(|c| c.1));
     let (first, last) = (read[0].0, read[read.len() - 1].0);
-    let inside = |w: &&[(f64, f64)]| w[1].0 > first && w[1].0 < last && w[1].1 != w[0].1;
-    let up = commanded.windows(2).filter(inside).filter(|w| w[1].1 - w[0].1 >= least).count();
-    let down = commanded.windows(2).filter(inside).filter(|w| w[0].1 - w[1].1 >= least).count();
+    // From the command that is in force at the first reading on.
+    let in_force = |i: usize| commanded.get(i + 1).is_none_or(|next| next.0 > first);
+    let seen = commanded.iter().enumerate().filter(|(i, c)| in_force(*i) && c.0 < last).map(|(_, c)| c.1);
+    let (up, down) = moves(seen, least);
     if up == 0 || down == 0 { Err(StepsError::OneWay { up, down }) } else { Ok(()) }
+}
+
+/// Moves up and down of at least `least`. A command that is limited in its rate takes many small changes for one.
+fn moves(commands: impl Iterator<Item = f64>, least: f64) -> (usize, usize) {
+    let (mut up, mut down) = (0, 0);
+    let mut turn: Option<f64> = None;
+    let mut sense = 0.0;
+    for command in commands {
+        let from = *turn.get_or_insert(command);
+        if (command - from) * sense > 0.0 || sense == 0.0 && (command - from).abs() < least {
+            // On in the same way, or not far enough to be a move.
+            if sense != 0.0 {
+                turn = Some(command);
+            }
+            continue;
+        }
+        if (command - from).abs() >= least {
+            sense = (command - from).signum();
+            if sense > 0.0 {
+                up += 1
+            } else {
+                down += 1
+            }
+            turn = Some(command);
+        }
+    }
+    (up, down)
 }
 
 fn judge(fit: &StepsFit, range: f64, period: f64) -> Result<(), StepsError> {
@@ -279,6 +307,11 @@ impl Record<'_> {
     }
 
     fn residuals(&self, x: &[f64], rise: bool, fall: bool) -> Option<Vec<f64>> {
+        let pressures = self.pressures(x, rise, fall)?;
+        Some(pressures.iter().zip(self.readings).map(|(p, r)| p - r.pressure).collect())
+    }
+
+    fn pressures(&self, x: &[f64], rise: bool, fall: bool) -> Option<Vec<f64>> {
         let slew = |there: bool, index: usize| if there { x[index] } else { f64::INFINITY };
         let dynamics = Dynamics {
             dead_time: x[0],
@@ -299,7 +332,7 @@ impl Record<'_> {
         while effect(next) <= now {
             next += 1;
         }
-        let mut residuals = Vec::with_capacity(self.readings.len());
+        let mut pressures = Vec::with_capacity(self.readings.len());
         for reading in self.readings {
             while now < reading.time {
                 let until = effect(next).min(reading.time);
@@ -310,9 +343,9 @@ impl Record<'_> {
                     next += 1;
                 }
             }
-            residuals.push(pressure - reading.pressure);
+            pressures.push(pressure);
         }
-        Some(residuals)
+        Some(pressures)
     }
 }
 
