@@ -411,6 +411,32 @@ fn a_changed_file_is_a_warning_and_refuses_to_arm() {
 }
 
 #[test]
+fn a_changed_calibration_is_taken_up_when_the_rig_is_armed_and_a_wrong_one_refused() {
+    attempt(|place| {
+        let _daemon = place.daemon();
+        place.until("disarmed", |status| status.state == "disarmed");
+        let file = place.path("calibration/paper.toml");
+        let before = std::fs::read_to_string(&file).unwrap();
+        std::fs::write(&file, before.replace("value = 0.086,", "value = -1.0,")).unwrap();
+        let text = place.expect(&["arm", "--accept-margin"], 2);
+        assert!(text.contains("torsional_stiffness_nm_per_rad") && text.contains("-1"), "{text}");
+        assert_eq!(place.status().state, "disarmed");
+        std::fs::write(&file, before.replace("value = 0.086,", "value = 0.2, simulated_nominal = 0.086,")).unwrap();
+        place.expect(&["arm", "--accept-margin"], 0);
+        // What is loaded now is what is there: nothing stands in the way.
+        place.expect(&["set", "pressure", "1psi"], 0);
+        assert!(place.log().contains("taking up the changed calibration"));
+        // While armed, a change is none of the loop's business until it is armed again.
+        std::fs::write(&file, &before).unwrap();
+        let warned = |status: &Status| status.faults.iter().any(|fault| fault.name == "config_changed");
+        place.until("warned", warned);
+        assert!(place.expect(&["set", "pressure", "1psi"], 1).contains("a configuration file differs"));
+        place.expect(&["disarm"], 0);
+        place.expect(&["arm", "--accept-margin"], 0);
+    });
+}
+
+#[test]
 fn devices_that_are_not_there_keep_it_from_arming_and_the_vent_from_being_verified() {
     attempt(|place| {
         place.rewrite(|text| {

@@ -11,6 +11,7 @@ use freerig::daemon::experiment::{Attendance, Job, run};
 use freerig::daemon::{Stepped, procedure};
 use freerig::ident::sweep::{RestPoint, fit_sweep};
 use freerig::record::{Run, RunResult};
+use freerig::signal::{TickRecord, Truth};
 use freerig::sim::Plant;
 
 /// The paper's range and back, with inner loops: a quarter of an hour on a bench.
@@ -97,18 +98,21 @@ fn plain(rig: &Rig, gains: Gains) -> Rig {
     rig
 }
 
-/// Time (s), reference and true angle (deg) in every tick of the program.
-fn course(rig: &Rig, kind: Kind) -> Vec<(f64, f64, f64)> {
+/// Time (s), reference and true angle (deg), and true pressure (Pa) in every tick of the program.
+fn course(rig: &Rig, kind: Kind) -> Vec<(f64, f64, f64, f64)> {
     let (name, text) = kind.default_file();
     let run = carry_out(rig, name, text);
     let records = run.records().unwrap().filter(|(r, _)| r.program_time.is_finite());
     let degrees = |rad: f64| rad.to_degrees();
-    records.map(|(r, t)| (r.program_time, degrees(r.frees[0].reference.position), degrees(t[0].angle))).collect()
+    let tick = |(r, t): (TickRecord, Vec<Truth>)| {
+        (r.program_time, degrees(r.frees[0].reference.position), degrees(t[0].angle), t[0].pressure)
+    };
+    records.map(tick).collect()
 }
 
 /// RMS and peak of reference - truth, deg.
-fn errors(course: &[(f64, f64, f64)]) -> (f64, f64) {
-    let errors = course.iter().map(|(_, reference, truth)| reference - truth);
+fn errors(course: &[(f64, f64, f64, f64)]) -> (f64, f64) {
+    let errors = course.iter().map(|(_, reference, truth, _)| reference - truth);
     let square = errors.clone().map(|e| e * e).sum::<f64>();
     ((square / course.len() as f64).sqrt(), errors.map(f64::abs).fold(0.0, f64::max))
 }
@@ -128,16 +132,32 @@ fn the_model_follows_the_papers_trajectory_five_times_closer_than_the_published_
     assert!(rms <= 0.2 * theirs && rms <= 0.2 * pid, "{rms} {theirs} {pid}");
 }
 
+/// How long a step may take: one and a half times what slew and lag of the regulator, followed without any preview,
+/// take to come within 2 % of the pressure.
+fn allowance(rig: &Rig, pressures: (f64, f64)) -> f64 {
+    let regulator = &rig.bench.plants[0].regulator;
+    let slewing = (pressures.1 - pressures.0).abs() / regulator.slew;
+    1.5 * (regulator.dead_time.as_secs_f64() + slewing + regulator.lag.as_secs_f64() * 50f64.ln())
+}
+
 #[test]
-fn steps_led_by_the_model_do_not_overshoot() {
+fn steps_led_by_the_model_settle_as_fast_as_the_regulator_allows_and_do_not_overshoot() {
     let folder = tempfile::tempdir().unwrap();
-    let course = course(&calibrated(folder.path()), Kind::Step);
+    let rig = calibrated(folder.path());
+    let course = course(&rig, Kind::Step);
+    let mut pressure = 0.0;
     for (start, from, to) in [(0.0, 0.0, 50.0), (3.0, 50.0, 20.0), (6.0, 20.0, 80.0)] {
-        let slot = course.iter().filter(|(t, ..)| (start..start + 2.99).contains(t));
-        let share = slot.map(|&(t, _, truth)| (t - start, (truth - from) / (to - from) - 1.0));
+        let slot = || course.iter().filter(|(t, ..)| (start..start + 2.99).contains(t));
+        let share = slot().map(|&(t, _, truth, _)| (t - start, (truth - from) / (to - from) - 1.0));
         let over = share.clone().map(|(_, x)| x).fold(0.0, f64::max);
         let settled = share.filter(|(_, x)| x.abs() > 0.02).map(|(t, _)| t).fold(0.0, f64::max);
-        println!("{from} to {to} deg: overshoot {:.2} %, settled in {settled:.3} s", 100.0 * over);
-        assert!(over <= 0.02, "{over}");
+        let reached = slot().last().unwrap().3;
+        let allowed = allowance(&rig, (pressure, reached));
+        pressure = reached;
+        println!(
+            "{from} to {to} deg: overshoot {:.2} %, settled in {settled:.3} s of {allowed:.3} s allowed",
+            100.0 * over
+        );
+        assert!(over <= 0.02 && settled <= allowed, "{over} {settled} {allowed}");
     }
 }

@@ -181,7 +181,7 @@ pub const MATRIX: [Row; FaultCode::ALL.len()] = [
         debounce: "none",
         reaction: Reaction::Warn,
         then: Reaction::Warn,
-        remedy: "Restart the daemon to load the new files, or put the old ones back; until then arming is refused.",
+        remedy: "A changed calibration is taken up at the next arming; for a changed rig.toml restart the daemon, or put the old one back: until then arming is refused.",
     },
     Row {
         code: FaultCode::RealtimeLost,

@@ -52,7 +52,9 @@ impl RefusalCode {
             }
             RefusalCode::EmergencyStop => "Release the stop, then `freerig clear`.",
             RefusalCode::FaultPresent => "Remove the fault's cause: `freerig status` names it and its remedy.",
-            RefusalCode::ConfigChanged => "Restart the daemon to load the new files, or put the old ones back.",
+            RefusalCode::ConfigChanged => {
+                "`freerig disarm` and `arm` take up a changed calibration; a changed rig.toml needs a restart of the daemon."
+            }
             RefusalCode::NotRealtime => "Grant the rights (`freerig doctor` says how) or set require_realtime = false.",
             RefusalCode::NotVented => "Wait, or open the line by hand; check the regulator's zero and zero_pressure.",
             RefusalCode::NoPressure => "Check the regulator's cable, power and line: `freerig doctor`.",

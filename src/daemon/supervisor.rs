@@ -5,6 +5,7 @@
 //! disarming need no turn; the emergency stop does not even need the supervisor.
 
 use std::path::Path;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -35,6 +36,21 @@ const STATUS_PERIOD: Duration = Duration::from_millis(100);
 const FILES_PERIOD: Duration = Duration::from_secs(1);
 /// Beyond the vent time, how long a stop waits for the pressures and for the record's end.
 const LEAVING: Duration = Duration::from_secs(10);
+
+/// Why the supervisor no longer serves the rig as it was loaded.
+enum End {
+    /// It is to stop, or its loop has ended.
+    Stop(Result<(), DaemonError>),
+    /// The calibrations have changed: serve `rig`, and then arm.
+    Renewal {
+        /// The rig with the new ones.
+        rig: Box<Rig>,
+        /// What was asked.
+        arm: api::Arm,
+        /// Who waits for it.
+        answer: Answer,
+    },
+}
 
 /// The supervisor of one rig.
 pub struct Supervisor {
@@ -96,30 +112,80 @@ impl Supervisor {
     /// # Errors
     /// [`DaemonError::NotVented`], or the loop's own end.
     pub async fn serve(mut self, stop: impl Future<Output = ()>) -> Result<(), DaemonError> {
-        let files = watch_files(Arc::clone(&self.rig), self.live.switches());
-        let watchdog = notify::Watchdog::start(self.live.statistics());
-        let mut look = interval(LOOK);
-        look.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut stop = std::pin::pin!(stop);
         let ended = loop {
+            match self.watch(stop.as_mut()).await {
+                End::Stop(ended) => break ended,
+                End::Renewal { rig, arm, answer } => {
+                    self = self.renewed(*rig).await?;
+                    self.take(api::Request::Arm(arm), answer);
+                }
+            }
+        };
+        notify::stopping();
+        self.leave().await.and(ended)
+    }
+
+    /// Serves until there is a reason not to.
+    async fn watch(&mut self, mut stop: Pin<&mut impl Future<Output = ()>>) -> End {
+        let files = watch_files(Arc::clone(&self.rig), self.live.switches());
+        let _watchdog = notify::Watchdog::start(self.live.statistics());
+        let mut look = interval(LOOK);
+        look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let end = loop {
             tokio::select! {
                 biased;
-                () = &mut stop => break Ok(()),
-                Some((request, answer)) = self.desk.requests.recv() => self.take(request, answer),
+                () = &mut stop => break End::Stop(Ok(())),
+                Some((request, answer)) = self.desk.requests.recv() => match request {
+                    api::Request::Arm(arm) => match self.renewal() {
+                        Ok(None) => self.take(api::Request::Arm(arm), answer),
+                        Ok(Some(rig)) => break End::Renewal { rig: Box::new(rig), arm, answer },
+                        Err(problem) => {
+                            // Whoever asked may be gone.
+                            let _ = answer.send(Err(problem));
+                        }
+                    },
+                    request => self.take(request, answer),
+                },
                 Some(report) = self.reported.recv() => self.hear(report),
                 _ = look.tick() => {
                     self.turn();
                     if !self.live.is_running() {
-                        break Err(DaemonError::LoopEnded("its thread is gone".into()));
+                        break End::Stop(Err(DaemonError::LoopEnded("its thread is gone".into())));
                     }
                 }
             }
         };
         files.abort();
-        notify::stopping();
-        let left = self.leave().await;
-        drop(watchdog);
-        left.and(ended)
+        end
+    }
+
+    /// The rig with the calibrations as they are now, where they differ from what was loaded and nothing else does:
+    /// a calibration that has just been measured is to be used, a changed rig.toml is to be noticed.
+    fn renewal(&mut self) -> Result<Option<Rig>, Problem> {
+        let idle = self.work.is_none() && self.bench.latest().state == State::Disarmed;
+        let description = self.rig.files.first().filter(|file| idle && !file.has_changed());
+        match description {
+            Some(file) if !self.rig.changed_files().is_empty() => Rig::load(&file.path).map(Some).map_err(|error| {
+                let remedy = "correct the calibration, or put the old one back; then arm again";
+                Problem::new(ProblemKind::Usage, error.to_string(), remedy)
+            }),
+            _ => Ok(None),
+        }
+    }
+
+    /// The rig, disarmed and vented as it is, stopped and started again as `rig`.
+    async fn renewed(self, rig: Rig) -> Result<Self, DaemonError> {
+        tracing::info!("taking up the changed calibration");
+        let Self { live, desk, view, begun, .. } = self;
+        let start = move || {
+            // The loop ends first; the bus owners then command zero and open the dump valve.
+            drop(live);
+            Self::start(rig, desk, view)
+        };
+        let started = tokio::task::spawn_blocking(start).await;
+        let started = started.unwrap_or_else(|panic| Err(DaemonError::LoopEnded(panic.to_string())))?;
+        Ok(Self { begun, ..started })
     }
 
     /// One look at the rig.
