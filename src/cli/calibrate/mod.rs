@@ -1,5 +1,6 @@
 //! `freerig calibrate`: measures what is not known of a FREE, and puts it into its calibration file.
 
+mod material;
 mod regulator;
 mod stiffness;
 
@@ -26,7 +27,8 @@ The rig must be armed (`freerig arm`); Ctrl-C takes the pressures down and leave
 Examples:
   freerig calibrate stiffness --free paper
   freerig calibrate stiffness --free paper --script answers.toml
-  freerig calibrate stiffness --free paper --stepped --seed 7";
+  freerig calibrate stiffness --free paper --stepped --seed 7
+  freerig calibrate material --free paper --script tests.toml";
 
 /// What `freerig calibrate` takes.
 #[derive(Debug, clap::Args)]
@@ -38,6 +40,8 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
+    /// E, mu, alpha and the fibres' EA, from files of tensile tests and of a bare tube's inflation
+    Material(material::Args),
     /// Lag, dead time and slew of the pressure regulator, its zero, span and hysteresis
     Regulator(How),
     /// Torsional stiffness kt and hysteresis, from a staircase of pressure
@@ -64,6 +68,7 @@ struct How {
 /// Carries out the calibration.
 pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     match args.what {
+        What::Material(args) => material::run(&args, context),
         What::Regulator(how) => regulator::run(&how, context),
         What::Stiffness(how) => stiffness::run(&how, context),
     }

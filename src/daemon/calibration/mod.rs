@@ -6,6 +6,7 @@
 //! with its standard uncertainty, method, residual, date and run, and a page that shows the fit over the data. Nothing
 //! is written before all of that has been successful.
 
+pub mod material;
 pub mod regulator;
 pub mod stiffness;
 
@@ -111,6 +112,9 @@ pub enum CalibrationError {
         /// Why.
         reason: String,
     },
+    /// A test of the material does not carry what it is for.
+    #[error("{0}")]
+    Material(String),
     /// The model has no such FREE.
     #[error(transparent)]
     Free(#[from] FreeError),
@@ -135,6 +139,7 @@ impl CalibrationError {
                 "look at the run's report; check supply, tubes and the unit's range and loop gains; the old calibration \
                  is untouched"
             }
+            CalibrationError::Material(_) => "correct the file or test again; the old calibration is untouched",
             CalibrationError::Free(_) | CalibrationError::Equilibrium(_) => {
                 "correct the geometry and the stiffnesses in the calibration: they are the start of the search"
             }
