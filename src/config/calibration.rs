@@ -206,8 +206,12 @@ impl Calibration {
 
     /// What the simulated FREE is scattered around: as [`Calibration::free`], without what was measured on it.
     pub fn simulated_nominal(&self) -> Free {
-        let nominal = |entry: &Entry| entry.simulated_nominal.unwrap_or(entry.value);
-        free_of(|key| self.entry(key).map(|entry| nominal(entry) * key::scale(key.name)))
+        free_of(|key| self.nominal_value(key))
+    }
+
+    /// The value of `key` in SI that the simulated FREE is scattered around.
+    pub fn nominal_value(&self, key: &Key) -> Option<f64> {
+        self.entry(key).map(|entry| entry.simulated_nominal.unwrap_or(entry.value) * key::scale(key.name))
     }
 
     /// Keys whose values were measured on a simulated FREE.

@@ -1,5 +1,7 @@
 //! `freerig calibrate`: measures what is not known of a FREE, and puts it into its calibration file.
 
+mod ask;
+mod loads;
 mod material;
 mod regulator;
 mod stiffness;
@@ -44,7 +46,7 @@ enum What {
     Material(material::Args),
     /// Lag, dead time and slew of the pressure regulator, its zero, span and hysteresis
     Regulator(How),
-    /// Torsional stiffness kt and hysteresis, from a staircase of pressure
+    /// Torsional stiffness kt and hysteresis, from a staircase of pressure; ke and kt from known weights and torques
     Stiffness(How),
 }
 

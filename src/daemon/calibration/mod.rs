@@ -6,6 +6,9 @@
 //! with its standard uncertainty, method, residual, date and run, and a page that shows the fit over the data. Nothing
 //! is written before all of that has been successful.
 
+pub mod channels;
+pub mod gauge;
+pub mod loads;
 pub mod material;
 pub mod regulator;
 pub mod stiffness;
@@ -112,6 +115,20 @@ pub enum CalibrationError {
         /// Why.
         reason: String,
     },
+    /// The tubes hang on other channels than rig.toml says.
+    #[error("the run {run} shows another map of channels than rig.toml: {reason}")]
+    Map {
+        /// Its id.
+        run: String,
+        /// What is fed by what, and what to write.
+        reason: String,
+    },
+    /// The gauge's readings do not carry zero and span, or the regulator is not sound.
+    #[error("the staircase against the gauge: {0}")]
+    Gauge(String),
+    /// Known loads do not carry a stiffness.
+    #[error("{0}")]
+    Loads(String),
     /// A test of the material does not carry what it is for.
     #[error("{0}")]
     Material(String),
@@ -138,6 +155,18 @@ impl CalibrationError {
             CalibrationError::Regulator { .. } => {
                 "look at the run's report; check supply, tubes and the unit's range and loop gains; the old calibration \
                  is untouched"
+            }
+            CalibrationError::Map { .. } => {
+                "write these channels into rig.toml, or move the tubes, and start the daemon again; the old calibration is \
+                 untouched"
+            }
+            CalibrationError::Gauge(_) => {
+                "check the gauge, the supply, the tube and the regulator's zero and span screws; the old calibration is \
+                 untouched"
+            }
+            CalibrationError::Loads(_) => {
+                "hang every load up and down again at every pressure, and read each at rest; the old calibration is \
+                 untouched"
             }
             CalibrationError::Material(_) => "correct the file or test again; the old calibration is untouched",
             CalibrationError::Free(_) | CalibrationError::Equilibrium(_) => {
