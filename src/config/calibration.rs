@@ -28,6 +28,7 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use super::atomic;
+use super::conditions::{Conditions, read_conditions};
 use super::gains;
 use super::key;
 use super::problem::{ConfigError, Problem};
@@ -134,6 +135,7 @@ pub struct Calibration {
     /// Torsional hysteresis.
     pub hysteresis: Option<Hysteresis>,
     entries: BTreeMap<&'static str, Entry>,
+    conditions: BTreeMap<&'static str, Conditions>,
     gains: BTreeMap<String, Gains>,
 }
 
@@ -175,9 +177,20 @@ impl Calibration {
         self.entry(key).map(|entry| entry.value * key::scale(key.name))
     }
 
-    /// Replaces the entry of `key`.
+    /// Replaces the entry of `key`; what the old one held for goes with it.
     pub fn set(&mut self, key: &Key, entry: Entry) {
         self.entries.insert(key.name, entry);
+        self.conditions.remove(key.name);
+    }
+
+    /// Says what the value of `key` holds for.
+    pub fn set_conditions(&mut self, key: &Key, conditions: Conditions) {
+        self.conditions.insert(key.name, conditions);
+    }
+
+    /// What values hold for, with the keys' names and the values' entries.
+    pub fn conditions(&self) -> impl Iterator<Item = (&'static str, &Entry, &Conditions)> {
+        self.conditions.iter().filter_map(|(name, conditions)| Some((*name, self.entries.get(name)?, conditions)))
     }
 
     /// The gains `name`: the FREE's own, else the preset.
@@ -254,6 +267,10 @@ impl Calibration {
                 line(format!("{} = {}", key.name, inline(entry)));
             }
         }
+        for (name, conditions) in &self.conditions {
+            line(format!("\n[conditions.{name}]"));
+            conditions.lines().for_each(&mut line);
+        }
         if let Some(hysteresis) = &self.hysteresis {
             line("\n[hysteresis]".into());
             line(format!("thresholds_deg = {:?}", hysteresis.thresholds().map(f64::to_degrees)));
@@ -312,6 +329,11 @@ fn read(mut root: Section<'_>) -> Calibration {
         calibration.hysteresis = read_hysteresis(root.section("hysteresis"));
     }
     root.expect("hysteresis");
+    for (name, section) in root.named("conditions") {
+        if let Some((key, conditions)) = read_conditions(&name, section, &calibration) {
+            calibration.set_conditions(key, conditions);
+        }
+    }
     for (name, mut section) in root.named("gains") {
         let gains = Gains {
             proportional: section.number("proportional_pa_per_rad", None, 0.0..=1e9),
@@ -398,7 +420,7 @@ fn read_profile(section: &mut Section<'_>) -> Option<ImuProfile> {
 }
 
 /// `N` bytes in hexadecimal.
-fn read_bytes<const N: usize>(section: &mut Section<'_>, key: &'static str) -> Option<[u8; N]> {
+pub(super) fn read_bytes<const N: usize>(section: &mut Section<'_>, key: &'static str) -> Option<[u8; N]> {
     let text = section.optional_text(key)?;
     let bytes = unhex(&text);
     if bytes.is_none() {
@@ -446,7 +468,7 @@ pub(super) fn quoted(text: &str) -> String {
     quoted
 }
 
-fn hex(bytes: &[u8]) -> String {
+pub(super) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 

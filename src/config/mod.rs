@@ -20,6 +20,7 @@ mod axis;
 mod build;
 pub mod calibration;
 mod columns;
+mod conditions;
 pub mod experiment;
 mod free;
 pub mod gains;
@@ -35,6 +36,7 @@ mod sections;
 mod tube;
 
 pub use calibration::Calibration;
+pub use conditions::{Conditions, FittedGeometry};
 pub use experiment::{Course, Experiment, Kind};
 pub(crate) use key::distance;
 pub use load::SourceFile;

@@ -16,7 +16,7 @@ use crate::daemon::calibration::Finding;
 use crate::daemon::calibration::loads::{NAME, Readings, Session, Sort, Step, evaluate};
 use crate::daemon::client::Client;
 use crate::daemon::experiment::{self, Attendance, Job};
-use crate::daemon::{Bench, Stepped, procedure};
+use crate::daemon::{Stepped, procedure};
 use crate::record::{Run, RunResult};
 use crate::sim::{Person, PlantFault};
 use crate::units::{PASCAL_PER_PSI, Pressure};

@@ -20,6 +20,7 @@ use crate::config::{Rig, Script};
 use crate::daemon::api::Start;
 use crate::daemon::calibration::{CalibrationError, Finding, FoundValue};
 use crate::daemon::experiment::{Attendance, Job};
+use crate::daemon::validity;
 use crate::record::Run;
 
 const EXAMPLES: &str = "\
@@ -93,6 +94,9 @@ fn prepare(how: &How, context: &Context) -> Result<(Rig, usize), Failure> {
     }
     if let Some(seed) = how.seed {
         rig.bench.seed = seed;
+    }
+    for warning in how.stepped.then(|| validity::of(&rig).warnings).into_iter().flatten() {
+        context.note(format!("warning: {warning}"));
     }
     Ok((rig, index))
 }

@@ -4,9 +4,9 @@
 use std::fmt::Write as _;
 
 use super::stiffness::highest_pressure;
-use super::{CalibrationError, Finding, Origin};
-use crate::config::Rig;
+use super::{CalibrationError, Finding, Origin, conditions, range};
 use crate::config::calibration::keys;
+use crate::config::{Conditions, Rig};
 use crate::hardware::mcp4728::code_of;
 use crate::hardware::wiring::DacChannel;
 use crate::ident::Measured;
@@ -135,6 +135,11 @@ pub fn evaluate(
         origin.enter(&mut calibration, &keys::ZERO_CODE, opening, None),
         origin.enter(&mut calibration, &keys::PRESSURE_PER_CODE, fit.span, None),
     ];
+    for key in [&keys::ZERO_CODE, &keys::PRESSURE_PER_CODE] {
+        let pressure = range(readings.iter().copied());
+        calibration
+            .set_conditions(key, Conditions { geometry: None, sensor: None, pressure, ..conditions(rig, subject) });
+    }
     let remarks = vec!["lag and dead time need a pressure sensor: they stay as the calibration has them".to_owned()];
     let facts = facts(&fit, &opening, map, run);
     let title = format!("Regulator of {}", free.name);

@@ -11,9 +11,9 @@
 use std::fmt::Write as _;
 
 use super::stiffness::highest_pressure;
-use super::{CalibrationError, Finding, FoundValue, Origin};
+use super::{CalibrationError, Finding, FoundValue, Origin, conditions, range};
 use crate::config::calibration::{Calibration, keys};
-use crate::config::{KnownLoad, Rig};
+use crate::config::{Conditions, KnownLoad, Rig};
 use crate::fem::linear::LinearSection;
 use crate::ident::{LoadFit, LoadPoint, Measured, fit_loads};
 use crate::model::{Free, GRAVITY, HysteresisState, Kinematics, Law, Load, Lumped};
@@ -243,6 +243,9 @@ pub fn evaluate(
         let prediction = section.map(|s| s.0);
         let found = origin.enter(&mut finding.calibration, &keys::AXIAL_STIFFNESS, fit.stiffness, prediction);
         finding.values.push(found);
+        let pressure = range(points.iter().map(|p| p.pressure));
+        let conditions = Conditions { pressure, ..conditions(rig, subject) };
+        finding.calibration.set_conditions(&keys::AXIAL_STIFFNESS, conditions);
         tell("ke", &fit, ("N/m", 1.0), ("mm", 1e3), &mut finding.remarks, &mut finding.sheet.facts);
         let drawing = LoadsDrawing {
             caption: "Known weights",

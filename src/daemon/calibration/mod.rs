@@ -15,8 +15,9 @@ pub mod stiffness;
 
 use thiserror::Error;
 
-use crate::config::Calibration;
+use super::{cycles, validity};
 use crate::config::calibration::{Entry, Key};
+use crate::config::{Calibration, Conditions, FittedGeometry, Rig};
 use crate::ident::{Measured, SweepError};
 use crate::model::{EquilibriumError, FreeError};
 use crate::record::{RecordError, Run, Sheet};
@@ -47,6 +48,24 @@ pub struct FoundValue {
     pub standard_uncertainty: f64,
     /// What the finite-element model predicts.
     pub prediction: Option<f64>,
+}
+
+/// What a value of the FREE `subject` of `rig` that is measured now holds for, without the ranges that it was measured
+/// over.
+fn conditions(rig: &Rig, subject: usize) -> Conditions {
+    let free = &rig.control.frees[subject].free;
+    Conditions {
+        geometry: Some(FittedGeometry { gamma: free.gamma, length: free.length, radius: free.radius }),
+        regulator: validity::regulator(rig, subject),
+        sensor: rig.calibrations[subject].imu_profile.map(|profile| profile.unique_id),
+        cycles: cycles::counted(rig).get(subject).copied(),
+        ..Conditions::default()
+    }
+}
+
+/// Lowest and highest of some numbers; `None` of none.
+fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    values.fold(None, |range, x| Some(range.map_or((x, x), |(low, high): (f64, f64)| (low.min(x), high.max(x)))))
 }
 
 /// Where new values come from.
