@@ -330,8 +330,12 @@ fn read(mut root: Section<'_>) -> Calibration {
     }
     root.expect("hysteresis");
     for (name, section) in root.named("conditions") {
-        if let Some((key, conditions)) = read_conditions(&name, section, &calibration) {
-            calibration.set_conditions(key, conditions);
+        match read_conditions(&name, section, &calibration) {
+            Some((key, conditions)) => calibration.set_conditions(key, conditions),
+            None => {
+                let rule = format!("there is no value `{name}` that [conditions.{name}] could hold for");
+                root.reject("conditions", rule, "remove the table");
+            }
         }
     }
     for (name, mut section) in root.named("gains") {

@@ -48,7 +48,7 @@ impl Conditions {
     /// The lines of its table.
     pub(super) fn lines(&self) -> impl Iterator<Item = String> {
         let span = |name: &str, range: Option<(f64, f64)>, scale: f64| {
-            range.map(|(low, high)| format!("{name} = [{:?}, {:?}]", low / scale, high / scale))
+            range.map(|(low, high)| format!("{name} = [{:?}, {:?}]", round(low / scale), round(high / scale)))
         };
         let deg = std::f64::consts::PI / 180.0;
         let [gamma, length, radius] = match self.geometry {
@@ -57,7 +57,7 @@ impl Conditions {
                 ("length_mm", 1e3 * g.length),
                 ("fiber_radius_mm", 1e3 * g.radius),
             ]
-            .map(|(name, value)| Some(format!("{name} = {value:?}"))),
+            .map(|(name, value)| Some(format!("{name} = {:?}", round(value)))),
             None => [None, None, None],
         };
         [
@@ -75,7 +75,12 @@ impl Conditions {
     }
 }
 
-/// Reads `[conditions.NAME]`.
+/// The conversion from and to SI leaves some noise at the end.
+fn round(value: f64) -> f64 {
+    (1e6 * value).round() / 1e6
+}
+
+/// Reads `[conditions.NAME]`; `None` where there is no such value.
 pub(super) fn read_conditions(
     name: &str,
     mut section: Section<'_>,
@@ -96,10 +101,7 @@ pub(super) fn read_conditions(
             section.has("cycles").then(|| section.integer("cycles", 0, 0..=i64::MAX) as u64)
         },
     };
-    let Some(key) = SCHEMA.iter().find(|key| key.name == name && calibration.entry(key).is_some()) else {
-        section.reject("", format!("there is no value `{name}` that it could hold for"), "remove the table");
-        return None;
-    };
+    let key = SCHEMA.iter().find(|key| key.name == name && calibration.entry(key).is_some())?;
     Some((key, conditions))
 }
 

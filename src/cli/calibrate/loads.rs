@@ -27,87 +27,83 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Longest time for a pressure to be set.
 const SETTING: Duration = Duration::from_secs(30);
 
-/// The known loads.
+/// The known loads, and the order of those that are still to be read.
 #[derive(Debug, Default)]
 pub(super) struct Known {
     weights: Vec<KnownLoad>,
     torques: Vec<KnownLoad>,
+    plan: Option<Session>,
 }
 
-fn is_open(loads: &[KnownLoad]) -> &[KnownLoad] {
+/// The loads, where they are still to be read: all of them or none.
+fn to_read(loads: &[KnownLoad]) -> &[KnownLoad] {
     if loads.iter().any(|load| load.reading.is_none()) { loads } else { &[] }
 }
 
-fn is_read(loads: &[KnownLoad]) -> &[KnownLoad] {
-    if loads.iter().all(|load| load.reading.is_some()) { loads } else { &[] }
-}
-
 impl Known {
-    /// The script's; at a terminal, what a person says.
-    pub(super) fn of(how: &How, rig: &Rig, context: &Context) -> Result<Self, Failure> {
-        if let Some(path) = &how.script {
-            let script = Script::read(path)?;
-            return Ok(Self { weights: script.weights, torques: script.torques });
-        }
-        if rig.is_simulated() || !ask::somebody() {
-            return Ok(Self::default());
-        }
-        let masses = ask::numbers("Known weights for ke, in g, in their order, up and down (none: Enter):", context)?;
-        if masses.is_empty() {
-            return Ok(Self::default());
-        }
-        let pressures = ask::numbers("At which pressures, in psi (0 psi alone: Enter):", context)?;
-        let pressures = if pressures.is_empty() { vec![0.0] } else { pressures };
-        let at = |&psi: &f64| {
-            masses.iter().map(move |g| KnownLoad { amount: 1e-3 * g, pressure: psi * PASCAL_PER_PSI, reading: None })
+    /// The script's; at a terminal, what a person says. A load that the FREE cannot bear is told before anything moves.
+    pub(super) fn of(how: &How, rig: &Rig, index: usize, context: &Context) -> Result<Self, Failure> {
+        let (weights, torques) = match &how.script {
+            Some(path) => {
+                let script = Script::read(path)?;
+                (script.weights, script.torques)
+            }
+            None if rig.is_simulated() || !ask::somebody() => return Ok(Self::default()),
+            None => (ask_for_weights(context)?, Vec::new()),
         };
-        Ok(Self { weights: pressures.iter().flat_map(at).collect(), torques: Vec::new() })
-    }
-
-    /// The order of those that are still to be read.
-    pub(super) fn plan(&self, rig: &Rig, index: usize) -> Result<Option<Session>, Failure> {
-        let (weights, torques) = (is_open(&self.weights), is_open(&self.torques));
-        if weights.is_empty() && torques.is_empty() {
-            return Ok(None);
-        }
-        Session::plan(rig, index, weights, torques).map(Some).map_err(failure)
+        let (open_weights, open_torques) = (to_read(&weights), to_read(&torques));
+        let plan = match open_weights.is_empty() && open_torques.is_empty() {
+            true => None,
+            false => Some(Session::plan(rig, index, open_weights, open_torques).map_err(failure)?),
+        };
+        Ok(Self { weights, torques, plan })
     }
 
     /// Reads them and adds what they say to `finding`, that of the staircase `run`.
-    #[expect(clippy::too_many_arguments, reason = "what one calibration is about")]
     pub(super) fn add_to(
         &self,
         finding: &mut Finding,
-        plan: Option<Session>,
         rig: &Rig,
         index: usize,
         run: &Run,
         date: &str,
         context: &Context,
     ) -> Result<(), Failure> {
-        let mut readings = Readings::written(is_read(&self.weights), is_read(&self.torques));
+        let mut readings = Readings::written(&self.weights, &self.torques);
         let mut own_run = None;
-        if let Some(session) = plan {
-            let (weights, torques) = (is_open(&self.weights), is_open(&self.torques));
+        if let Some(session) = &self.plan {
             let taken = if rig.is_simulated() {
-                context
-                    .note("SIMULATED: a simulated person hangs the loads and reads the ruler, with an error of 0.2 mm");
-                let (run, taken) = simulated(rig, index, &session)?;
+                let note = "SIMULATED: a simulated person hangs the loads and reads the ruler, with an error of 0.2 mm";
+                context.note(note);
+                let (run, taken) = simulated(rig, index, session)?;
                 own_run = Some(run);
                 taken
             } else {
-                by_hand(rig, index, &session, context)?
+                by_hand(rig, index, session, context)?
             };
-            let read = session.readings(weights, torques, &taken);
-            if !weights.is_empty() {
+            let read = session.readings(to_read(&self.weights), to_read(&self.torques), &taken);
+            if !read.weights.is_empty() {
                 readings.weights = read.weights;
             }
-            if !torques.is_empty() {
+            if !read.torques.is_empty() {
                 (readings.torques, readings.path) = (read.torques, read.path);
             }
         }
         evaluate(finding, &readings, rig, index, own_run.as_ref().unwrap_or(run), date).map_err(failure)
     }
+}
+
+fn ask_for_weights(context: &Context) -> Result<Vec<KnownLoad>, Failure> {
+    let masses = ask::numbers("Known weights for ke, in g, in their order, up and down (none: Enter):", context)?;
+    if masses.is_empty() {
+        return Ok(Vec::new());
+    }
+    let pressures = ask::numbers("At which pressures, in psi (0 psi alone: Enter):", context)?;
+    let pressures = if pressures.is_empty() { vec![0.0] } else { pressures };
+    let at = |&psi: &f64| {
+        masses.iter().map(move |g| KnownLoad { amount: 1e-3 * g, pressure: psi * PASCAL_PER_PSI, reading: None })
+    };
+    Ok(pressures.iter().flat_map(at).collect())
 }
 
 /// What was read, the angle and the pressure at every step.

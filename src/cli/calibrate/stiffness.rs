@@ -9,9 +9,7 @@ use crate::units::Pressure;
 
 pub(super) fn run(how: &How, context: &Context) -> Result<(), Failure> {
     let (rig, index) = prepare(how, context)?;
-    let known = loads::Known::of(how, &rig, context)?;
-    // A load that the FREE cannot bear is told before anything moves.
-    let plan = known.plan(&rig, index)?;
+    let known = loads::Known::of(how, &rig, index, context)?;
     let highest = stiffness::highest_pressure(&rig, index).map_err(failure)?;
     let instruction = format!(
         "The FREE hangs free, its IMU on its end and nothing else, and has rested without pressure. It will be taken up \
@@ -23,6 +21,6 @@ pub(super) fn run(how: &How, context: &Context) -> Result<(), Failure> {
     let run = measure(how, &rig, index, &text, context)?;
     let today = Zoned::now().date().to_string();
     let mut finding = stiffness::evaluate(&rig, index, &run, &today).map_err(failure)?;
-    known.add_to(&mut finding, plan, &rig, index, &run, &today, context)?;
+    known.add_to(&mut finding, &rig, index, &run, &today, context)?;
     tell(&finding, &rig, index, &run, context)
 }
