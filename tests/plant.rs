@@ -27,6 +27,7 @@ fn sim() -> PlantSim {
             noise: 0.0,
             full_scale: 15.0 * PSI,
         },
+        analogue: None,
     }
 }
 

@@ -2,11 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::Context as _;
 use serde_json::{Value, json};
 
 use super::table::Table;
 use super::{Context, Failure};
 use crate::config::Rig;
+use crate::daemon::cycles::Counts;
 use crate::record::{DOCUMENT_NAME, ErrorDocument, RecordError, Run};
 
 const EXAMPLES: &str = "\
@@ -39,7 +41,10 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     }
     if context.json {
         let runs: Vec<Value> = runs.iter().map(as_json).collect();
-        return context.print_json(&json!({ "directory": directory, "runs": runs, "unreadable": unreadable }));
+        let cycles = Counts::read(&directory).ok();
+        return context.print_json(
+            &json!({ "directory": directory, "runs": runs, "unreadable": unreadable, "pressure_cycles": cycles }),
+        );
     }
     for problem in &unreadable {
         context.note(format_args!("a run cannot be read: {problem}"));
@@ -61,6 +66,12 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         table.row([run.id(), start.kind.name(), &title, &start.subject, &gains, rig, result, &rms, &start.note]);
     }
     context.print(table)?;
+    let counts = Counts::read(&directory).with_context(|| format!("the pressure cycles in {}", directory.display()))?;
+    for (cycles, simulated) in [(&counts.hardware, ""), (&counts.simulated, "SIMULATED ")] {
+        for (name, count) in cycles {
+            context.note(format_args!("{simulated}{name}: {count} pressure cycles"));
+        }
+    }
     if runs.iter().any(|run| !run.is_complete()) {
         context.note("incomplete: under way, or cut off; what was recorded can be read (`freerig report RUN`)");
     }

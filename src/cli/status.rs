@@ -130,6 +130,9 @@ fn describe(status: &Status) -> String {
             line(format!("{:<12} {}", free.name, describe_device(device)));
         }
     }
+    for (free, cycles) in status.frees.iter().filter_map(|free| Some((free, free.pressure_cycles?))) {
+        line(format!("{:<12} {cycles} pressure cycles", free.name));
+    }
     line(format!("{:<12} {}", "loop", describe_loop(status)));
     for refused in &status.tick.refused {
         line(format!("{:<12} {refused}", ""));

@@ -9,7 +9,7 @@ use super::rig::{Backend, Rig};
 use super::sections::{RawRig, duration};
 use crate::control::{ControlConfig, ControllerKind, FreeControl, ImuChannel, ModelSpec, RegulatorChannel};
 use crate::hardware::wiring::{DacChannel, DacWiring, I2cWiring, ImuWiring, SerialWiring, UnitWiring, Wiring};
-use crate::sim::{BenchConfig, ImuSim, PlantSim, RegulatorSim};
+use crate::sim::{AnalogueSim, BenchConfig, ImuSim, PlantSim, RegulatorSim};
 
 /// Characters of one transaction with an Alicat unit: `AS5.0000\r`, its reply `A +050.42 +050.42\r`, and the 3.5
 /// idle characters that the unit needs before the next.
@@ -219,6 +219,16 @@ fn dac_channel(free: usize, known: &Calibration) -> Option<DacChannel> {
     })
 }
 
+/// What the simulated analogue regulator is scattered around; its tube hangs where `[free.sim]` says.
+fn analogue(free: &RawFree) -> Option<AnalogueSim> {
+    let Connection::Dac { channel, .. } = &free.regulator.connection else { return None };
+    Some(AnalogueSim {
+        channel: free.twin.dac_channel.unwrap_or(*channel),
+        zero_code: free.calibration.nominal_value(&keys::ZERO_CODE)?,
+        pascals_per_code: free.calibration.nominal_value(&keys::PRESSURE_PER_CODE)?,
+    })
+}
+
 fn units(raw: &RawRig, line: &str) -> Vec<UnitWiring> {
     let frees = raw.frees.iter().enumerate();
     frees
@@ -252,6 +262,7 @@ fn bench(raw: &RawRig) -> BenchConfig {
                     noise: free.twin.noise,
                     full_scale: free.regulator.full_scale,
                 },
+                analogue: analogue(free),
             })
             .collect(),
         imu: ImuSim { delay: raw.sim.imu_delay, noise: raw.sim.imu_noise, rate_noise: raw.sim.imu_rate_noise },

@@ -28,6 +28,7 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use super::atomic;
+use super::conditions::{Conditions, read_conditions};
 use super::gains;
 use super::key;
 use super::problem::{ConfigError, Problem};
@@ -134,6 +135,7 @@ pub struct Calibration {
     /// Torsional hysteresis.
     pub hysteresis: Option<Hysteresis>,
     entries: BTreeMap<&'static str, Entry>,
+    conditions: BTreeMap<&'static str, Conditions>,
     gains: BTreeMap<String, Gains>,
 }
 
@@ -175,9 +177,20 @@ impl Calibration {
         self.entry(key).map(|entry| entry.value * key::scale(key.name))
     }
 
-    /// Replaces the entry of `key`.
+    /// Replaces the entry of `key`; what the old one held for goes with it.
     pub fn set(&mut self, key: &Key, entry: Entry) {
         self.entries.insert(key.name, entry);
+        self.conditions.remove(key.name);
+    }
+
+    /// Says what the value of `key` holds for.
+    pub fn set_conditions(&mut self, key: &Key, conditions: Conditions) {
+        self.conditions.insert(key.name, conditions);
+    }
+
+    /// What values hold for, with the keys' names and the values' entries.
+    pub fn conditions(&self) -> impl Iterator<Item = (&'static str, &Entry, &Conditions)> {
+        self.conditions.iter().filter_map(|(name, conditions)| Some((*name, self.entries.get(name)?, conditions)))
     }
 
     /// The gains `name`: the FREE's own, else the preset.
@@ -206,8 +219,12 @@ impl Calibration {
 
     /// What the simulated FREE is scattered around: as [`Calibration::free`], without what was measured on it.
     pub fn simulated_nominal(&self) -> Free {
-        let nominal = |entry: &Entry| entry.simulated_nominal.unwrap_or(entry.value);
-        free_of(|key| self.entry(key).map(|entry| nominal(entry) * key::scale(key.name)))
+        free_of(|key| self.nominal_value(key))
+    }
+
+    /// The value of `key` in SI that the simulated FREE is scattered around.
+    pub fn nominal_value(&self, key: &Key) -> Option<f64> {
+        self.entry(key).map(|entry| entry.simulated_nominal.unwrap_or(entry.value) * key::scale(key.name))
     }
 
     /// Keys whose values were measured on a simulated FREE.
@@ -249,6 +266,10 @@ impl Calibration {
             if let Some(entry) = entry {
                 line(format!("{} = {}", key.name, inline(entry)));
             }
+        }
+        for (name, conditions) in &self.conditions {
+            line(format!("\n[conditions.{name}]"));
+            conditions.lines().for_each(&mut line);
         }
         if let Some(hysteresis) = &self.hysteresis {
             line("\n[hysteresis]".into());
@@ -308,6 +329,15 @@ fn read(mut root: Section<'_>) -> Calibration {
         calibration.hysteresis = read_hysteresis(root.section("hysteresis"));
     }
     root.expect("hysteresis");
+    for (name, section) in root.named("conditions") {
+        match read_conditions(&name, section, &calibration) {
+            Some((key, conditions)) => calibration.set_conditions(key, conditions),
+            None => {
+                let rule = format!("there is no value `{name}` that [conditions.{name}] could hold for");
+                root.reject("conditions", rule, "remove the table");
+            }
+        }
+    }
     for (name, mut section) in root.named("gains") {
         let gains = Gains {
             proportional: section.number("proportional_pa_per_rad", None, 0.0..=1e9),
@@ -394,7 +424,7 @@ fn read_profile(section: &mut Section<'_>) -> Option<ImuProfile> {
 }
 
 /// `N` bytes in hexadecimal.
-fn read_bytes<const N: usize>(section: &mut Section<'_>, key: &'static str) -> Option<[u8; N]> {
+pub(super) fn read_bytes<const N: usize>(section: &mut Section<'_>, key: &'static str) -> Option<[u8; N]> {
     let text = section.optional_text(key)?;
     let bytes = unhex(&text);
     if bytes.is_none() {
@@ -442,7 +472,7 @@ pub(super) fn quoted(text: &str) -> String {
     quoted
 }
 
-fn hex(bytes: &[u8]) -> String {
+pub(super) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 

@@ -66,8 +66,14 @@ pub(super) struct RawTwin {
     pub(super) dead_time: Duration,
     pub(super) slew: f64,
     pub(super) noise: f64,
+    /// Channel of the DAC that its tube really hangs on, where it is not the regulator's.
+    pub(super) dac_channel: Option<usize>,
 }
 
+/// Codes of a DAC.
+const CODES: f64 = 4095.0;
+/// Channels of a DAC by their letters.
+const CHANNELS: [(&str, usize); 4] = [("A", 0), ("B", 1), ("C", 2), ("D", 3)];
 /// Highest pressure that makes sense in a FREE, psi.
 const PRESSURE_CEILING: f64 = 150.0;
 /// Widest angle that makes sense: two turns and a half, deg.
@@ -111,8 +117,12 @@ pub(super) fn read_free(
         section.reject(
             "regulator",
             format!("the calibration `{}` has no [regulator] zero_code and span_pa_per_code", calibration.name),
-            "measure the analogue regulator's zero and span, and write them into its calibration: \
-             without them the pressure behind a code is not known",
+            format!(
+                "write nominal ones into its [regulator], for example `zero_code = {{ value = 0.0, method = \"nominal\" \
+                 }}` and `span_pa_per_code = {{ value = {:.1}, method = \"nominal\" }}`; then measure them: `freerig \
+                 calibrate regulator`",
+                regulator.full_scale / CODES
+            ),
         );
     }
     let limits = read_limits(section.section("limits"), &regulator);
@@ -235,14 +245,13 @@ fn read_alicat(section: &mut Section<'_>, serial: &[RawSerial], earlier: &[RawFr
 fn read_dac(section: &mut Section<'_>, i2c: &[RawI2c], earlier: &[RawFree]) -> Connection {
     let bus = read_bus(section, "bus", i2c.iter().map(|bus| bus.name.as_str()), "i2c");
     let address = section.integer("address", 0x60, 0x60..=0x67) as u8;
-    let channels = [("A", 0), ("B", 1), ("C", 2), ("D", 3)];
-    let channel = section.choice("channel", None, &channels).unwrap_or(0);
+    let channel = section.choice("channel", None, &CHANNELS).unwrap_or(0);
     let taken = earlier.iter().find(|free| match &free.regulator.connection {
         Connection::Dac { bus: b, address: a, channel: c } => *b == bus && *a == address && *c == channel,
         _ => false,
     });
     if let Some(other) = taken {
-        let letter = channels[channel].0;
+        let letter = CHANNELS[channel].0;
         let rule =
             format!("FREE `{}` has channel {letter} of the DAC at {address:#04x} of `{bus}` already", other.name);
         section.reject("channel", rule, "wire the regulator to a channel of its own, and write it here");
@@ -335,6 +344,11 @@ fn higher(pascals: f64, margin: f64) -> String {
     format!("write a value above {:.2}, for example {:.2}", pascals / PASCAL_PER_PSI, pascals / PASCAL_PER_PSI + margin)
 }
 
+fn optional_channel(section: &mut Section<'_>) -> Option<usize> {
+    section.expect("dac_channel");
+    section.has("dac_channel").then(|| section.choice("dac_channel", Some(0), &CHANNELS)).flatten()
+}
+
 fn read_twin(mut section: Section<'_>) -> RawTwin {
     RawTwin {
         scatter: section.number("scatter_percent", 3.0, 0.0..=20.0),
@@ -344,5 +358,6 @@ fn read_twin(mut section: Section<'_>) -> RawTwin {
         dead_time: duration(section.number("regulator_dead_time_ms", 15.0, 0.0..=500.0)),
         slew: section.number("regulator_slew_psi_per_s", 30.0, 0.1..=1000.0),
         noise: section.number("pressure_noise_psi", 0.01, 0.0..=5.0),
+        dac_channel: optional_channel(&mut section),
     }
 }

@@ -32,6 +32,7 @@ const SUFFIXES: &[Suffix] = &[
     ("_pa", "pressure", 1.0),
     ("_deg", "angle", PI / 180.0),
     ("_rad", "angle", 1.0),
+    ("_mm2", "area", 1e-6),
     ("_mm", "length", 1e-3),
     ("_cm", "length", 1e-2),
     ("_mnm", "moment", 1e-3),
@@ -55,6 +56,11 @@ pub(super) fn split(key: &str) -> (&str, Option<&'static Suffix>) {
         Some(suffix) => (&key[..key.len() - suffix.0.len()], Some(suffix)),
         None => (key, None),
     }
+}
+
+/// The suffixes of a dimension.
+pub(super) fn units(dimension: &str) -> impl Iterator<Item = &'static str> {
+    SUFFIXES.iter().filter(move |suffix| suffix.1 == dimension).map(|suffix| suffix.0)
 }
 
 /// Size in SI of the unit that `key` carries; 1 where it carries none.

@@ -2,11 +2,20 @@
 //!
 //! ```toml
 //! ready = ["stiffness"]          # what has been prepared as the question says
+//! weights = [                    # stiffness: hung on the end one after another, up and down
+//!     { mass_g = 0 }, { mass_g = 500, pressure_psi = 2, length_mm = 131.2 },
+//! ]
+//! torques = [{ moment_mnm = 20, pressure_psi = 0, angle_deg = 13.1 }]
+//! gauge_psi = [0, 1.02]          # regulator: what the gauge reads at every step of the staircase
 //! ```
+//!
+//! and `[material]`, the files of a material calibration ([`super::material`]).
 
 use std::path::Path;
 
 use super::experiment::read_text;
+use super::loads::{KnownLoad, read_torques, read_weights};
+use super::material::{Material, read_material};
 use super::problem::ConfigError;
 use super::reader::{Section, Source};
 
@@ -14,9 +23,17 @@ use super::reader::{Section, Source};
 const STEPS: [&str; 2] = ["regulator", "stiffness"];
 
 /// The answers.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Script {
     ready: Vec<String>,
+    /// Weights on the end, in their order.
+    pub weights: Vec<KnownLoad>,
+    /// Torques on the end, in their order.
+    pub torques: Vec<KnownLoad>,
+    /// Readings of a gauge, Pa, one at each step of a regulator's staircase.
+    pub gauge: Option<Vec<f64>>,
+    /// Tests of the material.
+    pub material: Option<Material>,
 }
 
 impl Script {
@@ -27,6 +44,7 @@ impl Script {
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let text = read_text(path)?;
         let source = Source::new(path, &text);
+        let mut tables = Vec::new();
         let script = source.parse().map(|table| {
             let mut root = Section::root(&source, &table);
             let ready = root.texts("ready");
@@ -34,11 +52,21 @@ impl Script {
                 let remedy = format!("write some of: {}", STEPS.join(", "));
                 root.reject("ready", format!("there is no calibration `{step}`"), remedy);
             }
-            Self { ready }
+            root.expect("material");
+            let base = path.parent().unwrap_or(Path::new(""));
+            Self {
+                ready,
+                weights: read_weights(&mut root),
+                torques: read_torques(&mut root),
+                gauge: root.numbers("gauge_psi", -1.0..=150.0),
+                material: root.has("material").then(|| read_material(root.section("material"), base, &mut tables)),
+            }
         });
-        match (script, source.into_problems()) {
-            (Some(script), problems) if problems.is_empty() => Ok(script),
-            (_, problems) => Err(ConfigError { problems }),
+        let mut problems = source.into_problems();
+        problems.extend(tables);
+        match script {
+            Some(script) if problems.is_empty() => Ok(script),
+            _ => Err(ConfigError { problems }),
         }
     }
 

@@ -105,6 +105,9 @@ pub struct FreeStatus {
     pub reference_pa: Option<f64>,
     /// Limits in force, by their stable names; they explain, they do not latch.
     pub limits: Vec<String>,
+    /// How often it has been under pressure, as [`super::cycles`] counts; `null` where that is not known.
+    #[serde(default)]
+    pub pressure_cycles: Option<u64>,
     /// Its IMU; `null` where it has none.
     pub imu: Option<DeviceStatus>,
     /// Its regulator.

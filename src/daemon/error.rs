@@ -25,6 +25,9 @@ pub enum DaemonError {
     /// The gains' stability margin is below the stated one.
     #[error("{0}")]
     Margin(String),
+    /// A calibration does not fit the rig.
+    #[error("{0}")]
+    Calibration(String),
     /// The rig did not get there in time.
     #[error("the rig did not reach {wanted} within {seconds:.1} s; it stands in {state}")]
     Timeout {
@@ -105,6 +108,11 @@ impl DaemonError {
             DaemonError::Margin(_) => {
                 "Choose gains with a margin on this rig, a shorter period, or accept it: --accept-margin.".into()
             }
+            DaemonError::Calibration(_) => {
+                "Put back what was changed. To measure again, remove the value's [conditions.KEY] from the calibration file \
+                 first: then nothing says what it holds for."
+                    .into()
+            }
             DaemonError::Timeout { .. } => "`freerig status` says what the rig waits for.".into(),
             DaemonError::Interrupted(_) => "`freerig status` shows where the rig stands.".into(),
             DaemonError::NotVented(_) => fault::row(FaultCode::VentFailed).remedy.into(),
@@ -137,6 +145,7 @@ impl From<&DaemonError> for Problem {
             _ if error.is_rig_fault() => ProblemKind::Fault,
             DaemonError::Refused { .. }
             | DaemonError::Margin(_)
+            | DaemonError::Calibration(_)
             | DaemonError::Timeout { .. }
             | DaemonError::Interrupted(_)
             | DaemonError::Unfit(_)

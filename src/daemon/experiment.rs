@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use super::cycles::Counter;
 use super::error::DaemonError;
 use super::procedure::{LOOK, Refusals, refused};
 use super::{Bench, margin};
@@ -145,13 +146,14 @@ fn repeat<B: Bench>(
     watch: &mut dyn FnMut(&Progress<'_>),
 ) -> Result<Vec<Run>, DaemonError> {
     let mut runs: Vec<Run> = Vec::new();
+    let mut cycles = Counter::new(rig);
     for repeat in 1..=job.repeats {
         let repetition = (job.repeats > 1).then(|| Repetition {
             group: runs.first().map(|r| r.id().to_owned()).unwrap_or_default(),
             index: repeat,
             of: job.repeats,
         });
-        let run = once(bench, rig, job, repeat, repetition, watch)?;
+        let run = once(bench, rig, job, (repeat, repetition), &mut cycles, watch)?;
         let done = run.stop().is_some_and(|s| s.result == RunResult::Done);
         runs.push(run);
         if !done || job.is_stopped() {
@@ -176,8 +178,8 @@ fn once<B: Bench>(
     bench: &mut B,
     rig: &Rig,
     job: &Job,
-    repeat: u32,
-    repetition: Option<Repetition>,
+    (repeat, repetition): (u32, Option<Repetition>),
+    cycles: &mut Counter,
     watch: &mut dyn FnMut(&Progress<'_>),
 ) -> Result<Run, DaemonError> {
     let options = RecordOptions { truth: rig.is_simulated(), live: job.live.clone(), ..RecordOptions::default() };
@@ -192,9 +194,11 @@ fn once<B: Bench>(
     // A replay goes on after a record in which nothing runs.
     let result = bench.pass(LOOK).and_then(|()| {
         drive(bench, rig, &job.program, job.attendance, &mut |record| {
+            cycles.see(record);
             tell("running", job.program.duration, record);
         })
     });
+    cycles.flush();
     let recorder = bench.detach();
     let lost_records = bench.with_pump(|p| p.lost_records()) - lost_before;
     let (result, message) = match &result {
@@ -214,6 +218,7 @@ fn once<B: Bench>(
     if result == RunResult::Done && job.and_back && !job.is_stopped() {
         let back = Arc::new(back_to_zero(&bench.latest(), rig)?);
         drive(bench, rig, &back, job.attendance, &mut |record| {
+            cycles.see(record);
             tell("taking the pressures down", back.duration, record);
         })?;
     }

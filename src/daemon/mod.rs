@@ -20,6 +20,7 @@ mod byhand;
 pub mod calibration;
 pub mod client;
 mod connection;
+pub mod cycles;
 pub mod doctor;
 mod error;
 mod estop;
@@ -40,6 +41,7 @@ mod status;
 mod stepped;
 mod supervisor;
 mod tick;
+pub mod validity;
 pub mod vent;
 mod work;
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::error::DaemonError;
-use super::{Bench, Change, margin};
+use super::{Bench, Change, margin, validity};
 use crate::config::Rig;
 use crate::control::Request;
 use crate::signal::{Refusal, RequestKind, State, TickRecord};
@@ -50,11 +50,19 @@ pub fn refused(refusal: Refusal, rig: &Rig) -> DaemonError {
     DaemonError::Refused { refusal, subject }
 }
 
-/// Checks the margins of the rig's gains (unless they are accepted as they are), arms, and waits until it holds.
+/// Checks that the calibrations fit the rig, and the margins of its gains (unless they are accepted as they are), arms,
+/// and waits until it holds.
 ///
 /// # Errors
-/// A margin below the stated one, a refusal, a fault, or the time.
+/// A calibration that does not fit, a margin below the stated one, a refusal, a fault, or the time.
 pub fn arm<B: Bench>(bench: &mut B, rig: &Rig, accept_margin: bool) -> Result<(), DaemonError> {
+    let validity = validity::of(rig);
+    for warning in &validity.warnings {
+        tracing::warn!("{warning}");
+    }
+    if !validity.refusals.is_empty() {
+        return Err(DaemonError::Calibration(validity.refusals.join("; ")));
+    }
     if !accept_margin {
         margin::check(&rig.control)?;
     }

@@ -19,7 +19,10 @@ use super::experiment::{Attendance, Job};
 use super::news::News;
 use super::status::status;
 use super::work::{Answer, Report, Work, carry_out};
-use super::{Bench, DaemonError, Desk, Live, LiveBench, Switches, byhand, is_free_vented, names, notify, procedure};
+use super::{
+    Bench, DaemonError, Desk, Live, LiveBench, Switches, byhand, cycles, is_free_vented, names, notify, procedure,
+    validity,
+};
 use crate::clock::Time;
 use crate::config::Rig;
 use crate::config::experiment::Experiment;
@@ -34,6 +37,8 @@ const LOOK: Duration = Duration::from_millis(50);
 const STATUS_PERIOD: Duration = Duration::from_millis(100);
 /// How often the configuration files are compared with what was loaded.
 const FILES_PERIOD: Duration = Duration::from_secs(1);
+/// How often the counted pressure cycles are read again.
+const CYCLES_PERIOD: Duration = Duration::from_secs(2);
 /// Beyond the vent time, how long a stop waits for the pressures and for the record's end.
 const LEAVING: Duration = Duration::from_secs(10);
 
@@ -70,6 +75,8 @@ pub struct Supervisor {
     told: String,
     /// Records lost so far.
     lost: u64,
+    /// By FREE: its pressure cycles, and when they were read.
+    cycles: (Vec<u64>, Time),
 }
 
 impl Supervisor {
@@ -85,6 +92,7 @@ impl Supervisor {
         let (reports, reported) = mpsc::unbounded_channel();
         let begun = bench.now();
         Ok(Self {
+            cycles: (cycles::counted(&rig), begun),
             rig: Arc::new(rig),
             live,
             bench,
@@ -222,6 +230,12 @@ impl Supervisor {
         status.uptime_s = self.bench.now().seconds_since(self.begun);
         status.faults = self.news.faults(&self.rig);
         status.run = self.run.clone();
+        if self.bench.now().since(self.cycles.1) >= CYCLES_PERIOD {
+            self.cycles = (cycles::counted(&self.rig), self.bench.now());
+        }
+        for (free, count) in status.frees.iter_mut().zip(&self.cycles.0) {
+            free.pressure_cycles = Some(*count);
+        }
         status.live_view = self.view.as_ref().map(LiveView::url);
         self.published = self.bench.now();
         let told = self.in_a_line(&record);
@@ -337,7 +351,9 @@ impl Supervisor {
                 state if state.is_armed() => Ok(Response::done("the rig is armed already")),
                 _ => {
                     return self.procedure("arming", answer, move |bench, rig| {
-                        procedure::arm(bench, rig, arm.accept_margin).map(|()| "armed".into())
+                        procedure::arm(bench, rig, arm.accept_margin)?;
+                        let warnings = validity::of(rig).warnings;
+                        Ok(warnings.iter().fold("armed".into(), |text, warning| format!("{text}\nwarning: {warning}")))
                     });
                 }
             },

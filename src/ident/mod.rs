@@ -3,11 +3,13 @@
 
 pub mod imu;
 mod least_squares;
+pub mod loads;
 pub mod material;
 pub mod regulator;
 pub mod ringdown;
 pub mod sweep;
 
 pub use least_squares::Measured;
+pub use loads::{LoadError, LoadFit, LoadPoint, fit_loads};
 pub use ringdown::{Channel, Decay, RingDown, RingDownError, fit_ring_down};
 pub use sweep::{MomentPoint, RestPoint, SweepError, SweepFit, fit_sweep};

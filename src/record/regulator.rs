@@ -3,7 +3,7 @@
 use super::plot::{Line, Plot};
 use super::sheet::Sheet;
 use super::{Result, Run, palette};
-use crate::ident::regulator::{Command, Reading, StepsFit};
+use crate::ident::regulator::{Command, Reading, StairPoint, StaircaseFit, StepsFit};
 use crate::units::PASCAL_PER_PSI;
 
 /// What a regulator was told and what it did, over the time since the program's start.
@@ -87,6 +87,44 @@ pub fn regulator_sheet(
                 "What the fit leaves over".into(),
                 plot("pressure (psi)", 240, vec![Line::new("reading - fit", palette::RED, &time, left)]),
             ),
+        ],
+        ..Sheet::default()
+    }
+}
+
+/// The page of the staircase `fit` to readings of a gauge over codes, with `facts` above the drawings.
+pub fn gauge_sheet(
+    title: &str,
+    points: &[StairPoint],
+    fit: &StaircaseFit,
+    simulated: bool,
+    facts: Vec<(String, String)>,
+) -> Sheet {
+    let code: Vec<f64> = points.iter().map(|p| p.command).collect();
+    let psi = |pa: f64| pa / PASCAL_PER_PSI;
+    let floor = fit.floor.map_or(f64::NEG_INFINITY, |floor| floor.value);
+    let line: Vec<f64> = code.iter().map(|c| psi((fit.zero.value + fit.span.value * c).max(floor))).collect();
+    let read: Vec<f64> = points.iter().map(|p| psi(p.pressure)).collect();
+    let left = read.iter().zip(&line).map(|(r, l)| r - l).collect();
+    let plot = |y_label: &str, height, lines| Plot {
+        x_label: "code".into(),
+        y_label: y_label.into(),
+        height,
+        lines,
+        ..Plot::default()
+    };
+    let lines = vec![
+        Line::new("gauge, up and down", palette::BLUE, &code, read),
+        Line::new("zero and span", palette::ORANGE, &code, line).dashed(),
+    ];
+    let rest = vec![Line::new("gauge - line", palette::RED, &code, left)];
+    Sheet {
+        title: title.into(),
+        simulated,
+        facts,
+        figures: vec![
+            ("Pressure over the DAC's code".into(), plot("pressure (psi)", 340, lines)),
+            ("What the line leaves over".into(), plot("pressure (psi)", 240, rest)),
         ],
         ..Sheet::default()
     }

@@ -30,6 +30,24 @@ pub struct PlantSim {
     pub load_moment: f64,
     /// Its regulator.
     pub regulator: RegulatorSim,
+    /// What stands between a DAC and its regulator; none of one that takes its set-point as a number.
+    pub analogue: Option<AnalogueSim>,
+}
+
+/// The input of a simulated analogue regulator.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AnalogueSim {
+    /// Channel of the DAC (0 to 3) that it really hangs on, whatever rig.toml says.
+    pub channel: usize,
+    /// Nominal code at which it begins to open; the true one is off by the seeded scatter of [`AnalogueSim::ZERO_SPREAD`].
+    pub zero_code: f64,
+    /// Nominal pressure per code above it, Pa; the true one is off by the seeded scatter.
+    pub pascals_per_code: f64,
+}
+
+impl AnalogueSim {
+    /// Codes that the zero is off by for a scatter of one.
+    pub const ZERO_SPREAD: f64 = 500.0;
 }
 
 /// One simulated pressure regulator.

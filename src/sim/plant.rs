@@ -30,9 +30,9 @@ const MEMORY: usize = 8192;
 /// Pressure of the supply, as a multiple of the largest full scale.
 const SUPPLY_MARGIN: f64 = 1.5;
 /// Scatter is cut off at this many standard deviations, so that no parameter can change its sign.
-const SCATTER_CUT: f64 = 2.5;
+pub(super) const SCATTER_CUT: f64 = 2.5;
 
-/// Something that goes wrong with the rig's mechanics or pneumatics.
+/// Something that goes wrong with the rig's mechanics or pneumatics, or that a person does to them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PlantFault {
     /// The FREE or its tube leaks with this time constant, s; 0.01 is a burst, infinity repairs it.
@@ -41,6 +41,8 @@ pub enum PlantFault {
     Valve(usize, Valve),
     /// The external moment on the FREE's end becomes this, N m.
     Load(usize, f64),
+    /// The external force that pulls at the FREE's end becomes this, N: a weight that hangs there.
+    Pull(usize, f64),
     /// The supply pressure becomes this, Pa.
     Supply(f64),
     /// The dump valve stays closed (true), or is repaired.
@@ -237,6 +239,7 @@ impl Plant {
             Event::Fault(PlantFault::Leak(free, time)) => self.branch(free, |b| b.regulator.leak = time.max(1e-6)),
             Event::Fault(PlantFault::Valve(free, valve)) => self.branch(free, |b| b.regulator.valve = valve),
             Event::Fault(PlantFault::Load(free, moment)) => self.branch(free, |b| b.tip.load = moment),
+            Event::Fault(PlantFault::Pull(free, force)) => self.branch(free, |b| b.tip.pull = force),
             Event::Fault(PlantFault::Supply(pascals)) => self.supply = pascals,
             Event::Fault(PlantFault::DumpStuck(stuck)) => self.dump.stick(stuck),
         }

@@ -5,11 +5,16 @@ use std::io;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_pcg::Pcg64;
+
 use super::chips::{
     AlicatChip, Bno055Chip, Bno055Sim, Mcp4728Chip, MemoryStream, Mischief, Orientation, Promote, Pty, SerialLine,
     SimI2c,
 };
-use super::{BenchConfig, Plant};
+use super::plant::SCATTER_CUT;
+use super::{AnalogueSim, BenchConfig, Plant};
 use crate::clock::Clock;
 use crate::hardware::wiring::{DacWiring, ImuWiring, SerialWiring, Wiring};
 use crate::hardware::{DumpValve, HardwareError};
@@ -42,7 +47,7 @@ impl SimRig {
                 rig.attach_imu(bench, imu, axes, &bus);
             }
             for dac in &wiring.dacs {
-                rig.attach_dac(dac, &bus);
+                rig.attach_dac(bench, dac, &bus);
             }
             rig.buses.push((bus, clock));
         }
@@ -71,17 +76,16 @@ impl SimRig {
         }
     }
 
-    fn attach_dac(&mut self, wiring: &DacWiring, bus: &SimI2c) {
+    fn attach_dac(&mut self, bench: &BenchConfig, wiring: &DacWiring, bus: &SimI2c) {
         let plant = self.plant();
-        let channels = wiring.channels;
+        let frees: Vec<_> = wiring.channels.iter().flatten().map(|c| c.free).collect();
+        let inputs: Vec<_> = frees.into_iter().filter_map(|free| Some((free, Self::analogue(bench, free)?))).collect();
         let sink = move |time, volts: [f64; 4]| {
             let mut plant = plant.lock().unwrap_or_else(PoisonError::into_inner);
-            for (channel, volts) in channels.iter().zip(volts) {
-                if let Some(channel) = channel {
-                    let code = volts * CODES_PER_VOLT;
-                    let pascals = ((code - channel.zero_code) * channel.pascals_per_code).max(0.0);
-                    plant.set_setpoint(channel.free, pascals, time);
-                }
+            for (free, input) in &inputs {
+                let code = volts.get(input.channel).copied().unwrap_or(0.0) * CODES_PER_VOLT;
+                let pascals = ((code - input.zero_code) * input.pascals_per_code).max(0.0);
+                plant.set_setpoint(*free, pascals, time);
             }
         };
         let mischief = bus.attach(wiring.address, Mcp4728Chip::programmed(wiring.address, Box::new(sink)));
@@ -112,6 +116,22 @@ impl SimRig {
     /// The serial line of that index in the wiring: to look at its units, and to pull its plug.
     pub fn line(&self, index: usize) -> Option<&Arc<Mutex<SerialLine>>> {
         self.lines.get(index)
+    }
+
+    /// The true input of a FREE's analogue regulator on the rig of `bench`; none where it has none.
+    pub fn analogue(bench: &BenchConfig, free: usize) -> Option<AnalogueSim> {
+        let plant = bench.plants.get(free)?;
+        let nominal = plant.analogue?;
+        let mut rng = Pcg64::seed_from_u64(bench.seed.wrapping_mul(1009).wrapping_add(free as u64));
+        let mut off = || {
+            let x: f64 = StandardNormal.sample(&mut rng);
+            plant.scatter * x.clamp(-SCATTER_CUT, SCATTER_CUT)
+        };
+        Some(AnalogueSim {
+            zero_code: (nominal.zero_code + AnalogueSim::ZERO_SPREAD * off()).max(0.0),
+            pascals_per_code: nominal.pascals_per_code * (1.0 + off()),
+            ..nominal
+        })
     }
 
     /// The computer's end of a serial line in memory.

@@ -1,5 +1,5 @@
 //! The moving end of a simulated FREE: nonlinear lumped dynamics (Eqs 1-4, exact inextensible-fibre radius),
-//! gravity, an external moment, Maxwell-slip friction, and hard stops where the model's domain would end.
+//! gravity, an external moment and force, Maxwell-slip friction, and hard stops where the model's domain would end.
 
 use super::hysteresis::MaxwellSlip;
 use crate::model::{Free, GRAVITY, Kinematics};
@@ -33,6 +33,8 @@ pub struct Tip {
     friction: MaxwellSlip,
     /// Constant external moment, N m.
     pub load: f64,
+    /// Constant external axial force, N, outwards.
+    pub pull: f64,
     /// Range of the extension, m.
     extension_stops: (f64, f64),
     /// Range of the angle, rad.
@@ -51,6 +53,7 @@ impl Tip {
             free,
             friction,
             load,
+            pull: 0.0,
             extension_stops: (-0.5 * free.length, reach.min(0.5) * free.length),
             angle_stops: (a.min(b), a.max(b)),
             state: [0.0; 4],
@@ -138,7 +141,7 @@ impl Tip {
         let angle = angle.clamp(self.angle_stops.0, self.angle_stops.1);
         let actuation = Kinematics::Exact.actuation(f, s, angle).map_or((0.0, 0.0), |a| (a.force, a.moment));
         (
-            actuation.0 * pressure - f.axial_stiffness * s + f.mass * GRAVITY,
+            actuation.0 * pressure - f.axial_stiffness * s + f.mass * GRAVITY + self.pull,
             actuation.1 * pressure - f.torsional_stiffness * angle + self.load + self.friction.moment(angle),
         )
     }

@@ -1,5 +1,8 @@
 //! `freerig calibrate`: measures what is not known of a FREE, and puts it into its calibration file.
 
+mod ask;
+mod loads;
+mod material;
 mod regulator;
 mod stiffness;
 
@@ -17,6 +20,7 @@ use crate::config::{Rig, Script};
 use crate::daemon::api::Start;
 use crate::daemon::calibration::{CalibrationError, Finding, FoundValue};
 use crate::daemon::experiment::{Attendance, Job};
+use crate::daemon::validity;
 use crate::record::Run;
 
 const EXAMPLES: &str = "\
@@ -26,7 +30,8 @@ The rig must be armed (`freerig arm`); Ctrl-C takes the pressures down and leave
 Examples:
   freerig calibrate stiffness --free paper
   freerig calibrate stiffness --free paper --script answers.toml
-  freerig calibrate stiffness --free paper --stepped --seed 7";
+  freerig calibrate stiffness --free paper --stepped --seed 7
+  freerig calibrate material --free paper --script tests.toml";
 
 /// What `freerig calibrate` takes.
 #[derive(Debug, clap::Args)]
@@ -38,9 +43,11 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum What {
+    /// E, mu, alpha and the fibres' EA, from files of tensile tests and of a bare tube's inflation
+    Material(material::Args),
     /// Lag, dead time and slew of the pressure regulator, its zero, span and hysteresis
     Regulator(How),
-    /// Torsional stiffness kt and hysteresis, from a staircase of pressure
+    /// Torsional stiffness kt and hysteresis, from a staircase of pressure; ke and kt from known weights and torques
     Stiffness(How),
 }
 
@@ -64,6 +71,7 @@ struct How {
 /// Carries out the calibration.
 pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     match args.what {
+        What::Material(args) => material::run(&args, context),
         What::Regulator(how) => regulator::run(&how, context),
         What::Stiffness(how) => stiffness::run(&how, context),
     }
@@ -86,6 +94,9 @@ fn prepare(how: &How, context: &Context) -> Result<(Rig, usize), Failure> {
     }
     if let Some(seed) = how.seed {
         rig.bench.seed = seed;
+    }
+    for warning in how.stepped.then(|| validity::of(&rig).warnings).into_iter().flatten() {
+        context.note(format!("warning: {warning}"));
     }
     Ok((rig, index))
 }

@@ -2,13 +2,14 @@
 
 use jiff::Zoned;
 
-use super::{How, confirm, failure, measure, prepare, tell};
+use super::{How, confirm, failure, loads, measure, prepare, tell};
 use crate::cli::{Context, Failure};
 use crate::daemon::calibration::stiffness;
 use crate::units::Pressure;
 
 pub(super) fn run(how: &How, context: &Context) -> Result<(), Failure> {
     let (rig, index) = prepare(how, context)?;
+    let known = loads::Known::of(how, &rig, index, context)?;
     let highest = stiffness::highest_pressure(&rig, index).map_err(failure)?;
     let instruction = format!(
         "The FREE hangs free, its IMU on its end and nothing else, and has rested without pressure. It will be taken up \
@@ -19,6 +20,7 @@ pub(super) fn run(how: &How, context: &Context) -> Result<(), Failure> {
     let text = stiffness::experiment(&rig, index).map_err(failure)?;
     let run = measure(how, &rig, index, &text, context)?;
     let today = Zoned::now().date().to_string();
-    let finding = stiffness::evaluate(&rig, index, &run, &today).map_err(failure)?;
+    let mut finding = stiffness::evaluate(&rig, index, &run, &today).map_err(failure)?;
+    known.add_to(&mut finding, &rig, index, &run, &today, context)?;
     tell(&finding, &rig, index, &run, context)
 }

@@ -6,13 +6,18 @@
 //! with its standard uncertainty, method, residual, date and run, and a page that shows the fit over the data. Nothing
 //! is written before all of that has been successful.
 
+pub mod channels;
+pub mod gauge;
+pub mod loads;
+pub mod material;
 pub mod regulator;
 pub mod stiffness;
 
 use thiserror::Error;
 
-use crate::config::Calibration;
+use super::{cycles, validity};
 use crate::config::calibration::{Entry, Key};
+use crate::config::{Calibration, Conditions, FittedGeometry, Rig};
 use crate::ident::{Measured, SweepError};
 use crate::model::{EquilibriumError, FreeError};
 use crate::record::{RecordError, Run, Sheet};
@@ -43,6 +48,24 @@ pub struct FoundValue {
     pub standard_uncertainty: f64,
     /// What the finite-element model predicts.
     pub prediction: Option<f64>,
+}
+
+/// What a value of the FREE `subject` of `rig` that is measured now holds for, without the ranges that it was measured
+/// over.
+fn conditions(rig: &Rig, subject: usize) -> Conditions {
+    let free = &rig.control.frees[subject].free;
+    Conditions {
+        geometry: Some(FittedGeometry { gamma: free.gamma, length: free.length, radius: free.radius }),
+        regulator: validity::regulator(rig, subject),
+        sensor: rig.calibrations[subject].imu_profile.map(|profile| profile.unique_id),
+        cycles: cycles::counted(rig).get(subject).copied(),
+        ..Conditions::default()
+    }
+}
+
+/// Lowest and highest of some numbers; `None` of none.
+fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
+    values.fold(None, |range, x| Some(range.map_or((x, x), |(low, high): (f64, f64)| (low.min(x), high.max(x)))))
 }
 
 /// Where new values come from.
@@ -111,6 +134,23 @@ pub enum CalibrationError {
         /// Why.
         reason: String,
     },
+    /// The tubes hang on other channels than rig.toml says.
+    #[error("the run {run} shows another map of channels than rig.toml: {reason}")]
+    Map {
+        /// Its id.
+        run: String,
+        /// What is fed by what, and what to write.
+        reason: String,
+    },
+    /// The gauge's readings do not carry zero and span, or the regulator is not sound.
+    #[error("the staircase against the gauge: {0}")]
+    Gauge(String),
+    /// Known loads do not carry a stiffness.
+    #[error("{0}")]
+    Loads(String),
+    /// A test of the material does not carry what it is for.
+    #[error("{0}")]
+    Material(String),
     /// The model has no such FREE.
     #[error(transparent)]
     Free(#[from] FreeError),
@@ -135,6 +175,19 @@ impl CalibrationError {
                 "look at the run's report; check supply, tubes and the unit's range and loop gains; the old calibration \
                  is untouched"
             }
+            CalibrationError::Map { .. } => {
+                "write these channels into rig.toml, or move the tubes, and start the daemon again; the old calibration is \
+                 untouched"
+            }
+            CalibrationError::Gauge(_) => {
+                "check the gauge, the supply, the tube and the regulator's zero and span screws; the old calibration is \
+                 untouched"
+            }
+            CalibrationError::Loads(_) => {
+                "hang every load up and down again at every pressure, and read each at rest; the old calibration is \
+                 untouched"
+            }
+            CalibrationError::Material(_) => "correct the file or test again; the old calibration is untouched",
             CalibrationError::Free(_) | CalibrationError::Equilibrium(_) => {
                 "correct the geometry and the stiffnesses in the calibration: they are the start of the search"
             }

@@ -3,9 +3,9 @@
 use std::fmt::Write as _;
 
 use super::stiffness::highest_pressure;
-use super::{CalibrationError, Finding, Origin};
-use crate::config::Rig;
+use super::{CalibrationError, Finding, Origin, conditions, range};
 use crate::config::calibration::keys;
+use crate::config::{Conditions, Rig};
 use crate::ident::Measured;
 use crate::ident::regulator::{
     Direction, Reading, StairPoint, StaircaseFit, StaircaseRules, StepsFit, fit_staircase, fit_steps,
@@ -84,6 +84,11 @@ pub fn evaluate(rig: &Rig, subject: usize, run: &Run, date: &str) -> Result<Find
              rig.toml lets the commands be"
                 .to_owned(),
         ),
+    }
+    for key in [&keys::REGULATOR_LAG, &keys::REGULATOR_DEAD_TIME] {
+        let pressure = range(stairs.iter().map(|p| p.pressure));
+        calibration
+            .set_conditions(key, Conditions { geometry: None, sensor: None, pressure, ..conditions(rig, subject) });
     }
     let title = format!("Regulator of {}", free.name);
     let mut sheet =

@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
-use super::{CalibrationError, Finding, FoundValue, Origin};
+use super::{CalibrationError, Finding, FoundValue, Origin, conditions, range};
 use crate::config::calibration::keys;
-use crate::config::{Calibration, Rig};
+use crate::config::{Calibration, Conditions, Rig};
 use crate::fem::linear::LinearSection;
 use crate::ident::{Measured, SweepFit, fit_sweep};
 use crate::model::{EquilibriumError, Kinematics, Law, Lumped};
@@ -89,6 +89,14 @@ pub fn evaluate(rig: &Rig, subject: usize, run: &Run, date: &str) -> Result<Find
     let kt = Measured { value: fit.stiffness, uncertainty: fit.stiffness_uncertainty, freedom: fit.points.len() };
     let prediction = prediction(&calibration);
     let found = origin.enter(&mut calibration, &keys::TORSIONAL_STIFFNESS, kt, prediction);
+    calibration.set_conditions(
+        &keys::TORSIONAL_STIFFNESS,
+        Conditions {
+            pressure: range(points.iter().map(|p| p.pressure)),
+            angle: range(points.iter().map(|p| p.angle)),
+            ..conditions(rig, subject)
+        },
+    );
     calibration.hysteresis = Some(fit.hysteresis);
     let remarks = remarks(&fit);
     let title = format!("Stiffness and hysteresis of {}", free.name);

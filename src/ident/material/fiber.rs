@@ -51,6 +51,18 @@ pub struct FiberFit {
     pub points: usize,
 }
 
+impl FiberFit {
+    /// Force at `strain`, N.
+    pub fn force(&self, strain: f64) -> f64 {
+        match self.toe {
+            None => self.stiffness.value * strain,
+            Some(Toe { end, stiffness, .. }) => {
+                stiffness.value * strain.min(end.value) + self.stiffness.value * (strain - end.value).max(0.0)
+            }
+        }
+    }
+}
+
 /// Why there is no fit.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum FiberError {

@@ -25,6 +25,13 @@ pub struct LawFit {
     pub rmsd_share: f64,
 }
 
+impl LawFit {
+    /// Nominal stress in uniaxial tension at `stretch`, Pa; `None` outside the law's domain.
+    pub fn tension(&self, stretch: f64) -> Option<f64> {
+        uniaxial(&self.law, stretch).ok()
+    }
+}
+
 /// Principal first Piola-Kirchhoff stresses of the isochoric part at these stretches.
 pub(super) fn principal(law: &Law, stretches: [f64; 3]) -> Result<[f64; 3], MaterialError> {
     let stress = law.respond(&Matrix3::from_diagonal(&Vector3::from(stretches)))?.stress;
