@@ -2,6 +2,7 @@
 //!
 //! ```toml
 //! ready = ["stiffness"]          # what has been prepared as the question says
+//! added_inertia_kg_m2 = [3e-5]   # inertias that are added to the end, one after the other, for `damping`
 //! ```
 
 use std::path::Path;
@@ -11,12 +12,14 @@ use super::problem::ConfigError;
 use super::reader::{Section, Source};
 
 /// What can be ready.
-const STEPS: [&str; 2] = ["regulator", "stiffness"];
+const STEPS: [&str; 4] = ["imu", "regulator", "stiffness", "damping"];
 
 /// The answers.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Script {
     ready: Vec<String>,
+    /// Inertias that are added to the end, one after the other, kg m2.
+    pub added_inertia: Vec<f64>,
 }
 
 impl Script {
@@ -34,7 +37,8 @@ impl Script {
                 let remedy = format!("write some of: {}", STEPS.join(", "));
                 root.reject("ready", format!("there is no calibration `{step}`"), remedy);
             }
-            Self { ready }
+            let added_inertia = root.numbers("added_inertia_kg_m2", 1e-9..=1.0).unwrap_or_default();
+            Self { ready, added_inertia }
         });
         match (script, source.into_problems()) {
             (Some(script), problems) if problems.is_empty() => Ok(script),

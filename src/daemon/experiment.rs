@@ -15,6 +15,7 @@ use crate::record::{
     Backend, LiveFeed, RealtimeDocument, RecordOptions, Recorder, Repetition, Run, RunKind, RunResult, StartDocument,
     StopDocument, sha256, write_report,
 };
+use crate::sim::Hand;
 use crate::signal::{FaultCode, FaultSet, FreeTick, Quantity, RequestKind, State, TickRecord};
 use crate::trajectory::{Axis, Program, Segment, Sequence, Shape};
 
@@ -55,6 +56,8 @@ pub struct Job {
     pub attendance: Attendance,
     /// Gains with a margin below the stated one have been accepted.
     pub accept_margin: bool,
+    /// What a person does to the subject meanwhile, for identification; on the simulated bench its hand.
+    pub hand: Option<Hand>,
     /// On the stepped clock.
     pub stepped: bool,
     /// Take the pressures down after each run; by hand they stay.
@@ -83,6 +86,7 @@ impl Job {
             repeats: experiment.repeat.max(1),
             attendance,
             accept_margin: false,
+            hand: None,
             stepped: false,
             and_back: true,
             live: None,
@@ -191,7 +195,10 @@ fn once<B: Bench>(
     bench.attach(recorder);
     // A replay goes on after a record in which nothing runs.
     let result = bench.pass(LOOK).and_then(|()| {
-        drive(bench, rig, &job.program, job.attendance, &mut |record| {
+        if let Some(hand) = &job.hand {
+            bench.pluck(job.subject, hand, Duration::try_from_secs_f64(job.program.duration).unwrap_or_default());
+        }
+        drive(bench, rig, &job.program, job.attendance, job.hand.is_some(), &mut |record| {
             tell("running", job.program.duration, record);
         })
     });
@@ -213,7 +220,7 @@ fn once<B: Bench>(
     let run = recorder.finish(StopDocument { result, message, lost_records, ..StopDocument::default() })?;
     if result == RunResult::Done && job.and_back && !job.is_stopped() {
         let back = Arc::new(back_to_zero(&bench.latest(), rig)?);
-        drive(bench, rig, &back, job.attendance, &mut |record| {
+        drive(bench, rig, &back, job.attendance, false, &mut |record| {
             tell("taking the pressures down", back.duration, record);
         })?;
     }
@@ -222,12 +229,13 @@ fn once<B: Bench>(
     Ok(run)
 }
 
-/// Starts `program` and watches it to its end.
+/// Starts `program`, to identify something or not, and watches it to its end.
 fn drive<B: Bench>(
     bench: &mut B,
     rig: &Rig,
     program: &Arc<Program>,
     attendance: Attendance,
+    identify: bool,
     watch: &mut dyn FnMut(&TickRecord),
 ) -> Result<RunResult, DaemonError> {
     let attended = attendance != Attendance::Detached;
@@ -235,7 +243,7 @@ fn drive<B: Bench>(
     if attendance == Attendance::Here {
         bench.heartbeat();
     }
-    bench.request(Request::Start { program: Arc::clone(program), attended, identify: false })?;
+    bench.request(Request::Start { program: Arc::clone(program), attended, identify })?;
     let mut reached = 0.0_f64;
     let mut started = false;
     loop {

@@ -18,6 +18,7 @@ mod error;
 mod export;
 mod figures;
 mod html;
+mod imu;
 mod live;
 mod locus;
 mod metrics;
@@ -47,6 +48,7 @@ pub use document::{
 };
 pub use error::{RecordError, Result};
 pub use export::{Exported, Format, TIME_BASE, export};
+pub use imu::{ImuReading, damping_sheet, imu_sheet};
 pub use live::{LiveFeed, LiveOptions, LiveView};
 pub use locus::locus_sheet;
 pub use metrics::{ErrorMetrics, FreeMetrics, Metrics, MoveMetrics};
