@@ -74,6 +74,7 @@ async fn requests_reach_the_supervisor_and_its_answers_come_back() {
                 Request::Start(start) => Ok(Response {
                     message: "started".into(),
                     run: Some(Run { id: "1".into(), kind: start.kind.clone(), ..Default::default() }),
+                    ..Response::default()
                 }),
                 other => Ok(Response::done(format!("{other:?}"))),
             };

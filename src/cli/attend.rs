@@ -10,8 +10,9 @@ use tokio::time::{MissedTickBehavior, interval};
 
 use super::outcome::Outcome;
 use super::{Context, Failure, Progress};
-use crate::daemon::api::{Event, Happening, Run, RunResult, Start};
+use crate::daemon::api::{Arm, Event, Happening, Run, RunResult, Start};
 use crate::daemon::client::Client;
+use crate::hardware::wiring::ImuProfile;
 use crate::units::{Angle, Pressure};
 
 /// How often the daemon is asked how far it is, and told that somebody is there. It gives up a client that it has
@@ -31,7 +32,28 @@ pub fn run(socket: &Path, start: Start, context: &Context) -> Result<(), Failure
 
 /// Has the daemon at `socket` run what `start` says, and answers what came of it.
 pub fn watch(socket: &Path, start: &Start, context: &Context) -> Result<Outcome, Failure> {
-    Ok(Outcome::new(runtime()?.block_on(attend(&Client::new(socket), start, context))?))
+    cued(socket, start, &[], context)
+}
+
+/// The same, telling a person what to do at which time since the program's start (s).
+pub fn cued(socket: &Path, start: &Start, cues: &[Cue], context: &Context) -> Result<Outcome, Failure> {
+    Ok(Outcome::new(runtime()?.block_on(attend(&Client::new(socket), start, cues, context))?))
+}
+
+/// What a person is told, and when: s since the program's start.
+pub type Cue = (f64, String);
+
+/// Has the daemon at `socket` arm the rig. A loop that is not going to be closed has no margin.
+pub fn arm(socket: &Path) -> Result<(), Failure> {
+    runtime()?.block_on(Client::new(socket).arm(Arm { accept_margin: true })).map_err(Failure::client)?;
+    Ok(())
+}
+
+/// The calibration profile of the IMU of `free`, from the daemon at `socket`, whose rig is disarmed.
+pub fn profile(socket: &Path, free: &str) -> Result<ImuProfile, Failure> {
+    let response = runtime()?.block_on(Client::new(socket).profile(free)).map_err(Failure::client)?;
+    let none = || Failure::failed(anyhow!("the daemon's answer has no profile in it"));
+    Ok(response.profile.ok_or_else(none)?.into())
 }
 
 /// Has the daemon at `socket` take the pressures down.
@@ -52,7 +74,12 @@ fn started(message: &str, run: Option<Run>, context: &Context) -> Result<(), Fai
     }
 }
 
-async fn attend(client: &Client, start: &Start, context: &Context) -> Result<Vec<RunResult>, Failure> {
+async fn attend(
+    client: &Client,
+    start: &Start,
+    mut cues: &[Cue],
+    context: &Context,
+) -> Result<Vec<RunResult>, Failure> {
     let mut events = client.events().await.map_err(Failure::client)?;
     client.start(start).await.map_err(Failure::client)?;
     let mut look = interval(LOOK);
@@ -83,6 +110,10 @@ async fn attend(client: &Client, start: &Start, context: &Context) -> Result<Vec
                 }
                 if let (Some((_, bar)), Some(free)) = (&mut shown, status.frees.first()) {
                     bar.set(run.elapsed_s, &state(free.angle_rad, free.pressure_pa));
+                }
+                while let Some((_, text)) = cues.first().filter(|(at, _)| *at <= run.elapsed_s) {
+                    context.note(text);
+                    cues = &cues[1..];
                 }
             }
             pressed = tokio::signal::ctrl_c(), if !stopping => {

@@ -101,6 +101,7 @@ pub fn run(kind: Kind, args: Args, context: &Context) -> Result<(), Failure> {
             free: args.free,
             repeat: args.repeat,
             note: args.note,
+            hand: None,
             detach: args.detach,
             accept_margin: args.accept_margin,
         };

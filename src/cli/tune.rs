@@ -47,8 +47,9 @@ pub struct Args {
 
 /// Gains and what they come to.
 #[derive(Debug, Serialize)]
-struct Row {
-    name: String,
+pub struct Row {
+    /// Their name in the calibration.
+    pub name: String,
     proportional_pa_per_rad: f64,
     integral_pa_per_rad_s: f64,
     derivative_pa_s_per_rad: f64,
@@ -79,31 +80,52 @@ struct Answer {
     written: Option<String>,
 }
 
-/// Finds the gains.
-pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
-    let rig = Rig::load(&context.rig)?;
-    let index = subject(&rig, args.free.as_deref())?;
+/// Gains that were found.
+pub struct Found {
+    /// Their name in the calibration.
+    pub name: String,
+    /// The gains, and what bounds them.
+    pub tuned: Tuned,
+    /// The same in a row.
+    pub row: Row,
+    /// The root locus' page.
+    pub report: String,
+}
+
+/// Finds gains for the FREE `index` of `rig` that meet `target`, else the usual one.
+pub fn find(rig: &Rig, index: usize, target: Option<&Target>, context: &Context) -> Result<Found, Failure> {
     let (free, period) = (&rig.control.frees[index], rig.control.period);
+    let usual = usual(free);
+    let target = target.unwrap_or(&usual);
     let imu = free.imu.ok_or_else(|| {
         let error = anyhow!("FREE `{}` has no IMU, and so no loop that could be tuned", free.name);
         Failure::usage(error).remedy(format!("describe its sensor in `[free.imu]` of {}", context.rig.display()))
     })?;
-    let target = args.target(free);
-    let tuned = tune(&free.free, &free.regulator, &imu, period, &target).map_err(|error| match error {
+    let tuned = tune(&free.free, &free.regulator, &imu, period, target).map_err(|error| match error {
         TuneError::Target { .. } => Failure::usage(error).remedy("ask for a value within these bounds"),
         TuneError::Unreachable(_) => Failure::failed(error)
             .remedy("ask for less, shorten the tick, or use a faster regulator: its lag and dead time are the bound"),
     })?;
     let name = format!("tuned-{}", controller(free));
+    let report = page(rig, free, &imu, &name, &tuned, target)?;
+    Ok(Found { row: row(&name, tuned.gains, free, &imu, period), name, tuned, report })
+}
+
+/// Finds the gains and tells them.
+pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
+    let rig = Rig::load(&context.rig)?;
+    let index = subject(&rig, args.free.as_deref())?;
+    let (free, period) = (&rig.control.frees[index], rig.control.period);
+    let Found { name, tuned, row: found, report } = find(&rig, index, Some(&args.target(free)), context)?;
     let written = args.write.then(|| write(&rig, index, &name, &tuned)).transpose()?;
-    let report = page(&rig, free, &imu, &name, &tuned, &target)?;
     let known = &rig.calibrations[index];
     let others = known.gain_names().filter(|other| *other != name);
-    let beside = others.filter_map(|name| known.gains(name).map(|gains| row(name, gains, free, &imu, period)));
+    let beside = others
+        .filter_map(|name| known.gains(name).zip(free.imu).map(|(gains, imu)| row(name, gains, free, &imu, period)));
     let answer = Answer {
         free: free.name.clone(),
         controller: controller(free),
-        tuned: row(&name, tuned.gains, free, &imu, period),
+        tuned: found,
         damping_ratio: tuned.damping,
         limited_by: limit(tuned.limited_by),
         poles_per_s: tuned.poles.extended.iter().map(|z| [z.re, z.im]).collect(),
@@ -116,15 +138,19 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
 
 impl Args {
     fn target(&self, free: &FreeControl) -> Target {
-        let usual = match free.controller {
-            ControllerKind::Model(_) => Target::MODEL,
-            ControllerKind::Pid => Target::PID,
-        };
+        let usual = usual(free);
         Target {
             damping: self.damping.unwrap_or(usual.damping),
             gain_margin: self.gain_margin.unwrap_or(usual.gain_margin),
             phase_margin_deg: self.phase_margin.map_or(usual.phase_margin_deg, |a| a.si().to_degrees()),
         }
+    }
+}
+
+fn usual(free: &FreeControl) -> Target {
+    match free.controller {
+        ControllerKind::Model(_) => Target::MODEL,
+        ControllerKind::Pid => Target::PID,
     }
 }
 
@@ -227,6 +253,21 @@ fn margin_text(margin: &Margin) -> String {
         margin.phase_margin_deg,
         1e3 * margin.delay_margin_s
     )
+}
+
+impl Row {
+    /// Gains and margins in a few words.
+    pub fn text(&self) -> String {
+        let dash = |value: Option<f64>, digits: usize| value.map_or("-".into(), |v| format!("{v:.digits$}"));
+        format!(
+            "Kp {:.0} Pa/rad, Ki {:.0} Pa/(rad s), Kd {:.0} Pa s/rad; margins {} and {} deg",
+            self.proportional_pa_per_rad,
+            self.integral_pa_per_rad_s,
+            self.derivative_pa_s_per_rad,
+            dash(self.gain_margin, 2),
+            dash(self.phase_margin_deg, 0)
+        )
+    }
 }
 
 impl Answer {

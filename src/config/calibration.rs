@@ -96,6 +96,10 @@ pub mod keys {
             "DAC code at which an analogue regulator begins to open";
         PRESSURE_PER_CODE: "regulator" "span_pa_per_code" false (0.01, 1e4), "Pressure per DAC code above it";
         IMU_DELAY: "imu" "delay_ms" false (0.0, 500.0), "From the motion to its reading";
+        IMU_NOISE: "imu" "angle_noise_deg" false (0.0, 10.0), "White noise of the angle, standard deviation of a reading";
+        IMU_DRIFT: "imu" "angle_drift_deg_per_s" false (-10.0, 10.0), "Drift of the angle at rest";
+        IMU_RATE_NOISE: "imu" "rate_noise_deg_per_s" false (0.0, 100.0),
+            "White noise of the rate, standard deviation of a reading";
     }
 }
 

@@ -7,6 +7,7 @@
 //! ]
 //! torques = [{ moment_mnm = 20, pressure_psi = 0, angle_deg = 13.1 }]
 //! gauge_psi = [0, 1.02]          # regulator: what the gauge reads at every step of the staircase
+//! added_inertia_kg_m2 = [3e-5]   # inertias that are added to the end, one after the other, for `damping`
 //! ```
 //!
 //! and `[material]`, the files of a material calibration ([`super::material`]).
@@ -20,7 +21,7 @@ use super::problem::ConfigError;
 use super::reader::{Section, Source};
 
 /// What can be ready.
-const STEPS: [&str; 2] = ["regulator", "stiffness"];
+const STEPS: [&str; 4] = ["imu", "regulator", "stiffness", "damping"];
 
 /// The answers.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -34,6 +35,8 @@ pub struct Script {
     pub gauge: Option<Vec<f64>>,
     /// Tests of the material.
     pub material: Option<Material>,
+    /// Inertias that are added to the end, one after the other, kg m2.
+    pub added_inertia: Vec<f64>,
 }
 
 impl Script {
@@ -59,6 +62,7 @@ impl Script {
                 weights: read_weights(&mut root),
                 torques: read_torques(&mut root),
                 gauge: root.numbers("gauge_psi", -1.0..=150.0),
+                added_inertia: root.numbers("added_inertia_kg_m2", 1e-9..=1.0).unwrap_or_default(),
                 material: root.has("material").then(|| read_material(root.section("material"), base, &mut tables)),
             }
         });

@@ -10,6 +10,7 @@
 //! | `POST /v1/disarm`, `/v1/clear`, `/v1/stop`, `/v1/estop` | | [`Response`] |
 //! | `POST /v1/set` | [`Set`] | [`Response`] |
 //! | `POST /v1/start` | [`Start`] | [`Response`] with the run |
+//! | `POST /v1/profile` | [`ProfileOf`] | [`Response`] with the profile |
 //! | `POST /v1/heartbeat` | [`Heartbeat`] | [`Response`] |
 //!
 //! The answer of a request that was not done is a [`Problem`], with a status of 400 or above.
@@ -17,8 +18,10 @@
 use serde::{Deserialize, Serialize};
 
 use crate::hardware::DeviceStatistics;
+use crate::hardware::wiring::ImuProfile;
 use crate::rt;
 use crate::signal::FaultCode;
+use crate::sim::Hand;
 
 /// Where the rig stands.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -352,6 +355,8 @@ pub enum Request {
     Start(Start),
     /// Stop the experiment; the pressures hold.
     Stop,
+    /// Read the calibration profile of an IMU.
+    Profile(ProfileOf),
 }
 
 /// Arm.
@@ -396,12 +401,44 @@ pub struct Start {
     /// A note for the record.
     #[serde(default)]
     pub note: Option<String>,
+    /// What a person does to the FREE meanwhile, for identification; on the simulated bench its hand does it.
+    #[serde(default)]
+    pub hand: Option<Hand>,
     /// Go on without the client.
     #[serde(default)]
     pub detach: bool,
     /// Run even where the stability margin of the experiment's own gains is below the stated one.
     #[serde(default)]
     pub accept_margin: bool,
+}
+
+/// Read the calibration profile that an IMU has found; only of a disarmed rig.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProfileOf {
+    /// Name of the FREE.
+    pub free: String,
+}
+
+/// The calibration profile of one BNO055, byte by byte.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Profile {
+    /// The sensor's own unique number.
+    pub sensor_id: [u8; 16],
+    /// Registers 0x55 to 0x6A.
+    pub registers: [u8; 22],
+}
+
+impl From<ImuProfile> for Profile {
+    fn from(profile: ImuProfile) -> Self {
+        Self { sensor_id: profile.unique_id, registers: profile.registers }
+    }
+}
+
+impl From<Profile> for ImuProfile {
+    fn from(profile: Profile) -> Self {
+        Self { unique_id: profile.sensor_id, registers: profile.registers }
+    }
 }
 
 /// Says that the client that runs an experiment is still there.
@@ -419,12 +456,15 @@ pub struct Response {
     pub message: String,
     /// The run that was started.
     pub run: Option<Run>,
+    /// The profile that was read.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub profile: Option<Profile>,
 }
 
 impl Response {
     /// Done, and nothing more to say than `message`.
     pub fn done(message: impl Into<String>) -> Self {
-        Self { message: message.into(), run: None }
+        Self { message: message.into(), ..Self::default() }
     }
 }
 

@@ -1,11 +1,14 @@
 //! What a procedure needs of the rig, be it live or stepped.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use crate::clock::Time;
 use crate::control::Request;
+use crate::hardware::ProfileDesk;
 use crate::record::Recorder;
 use crate::signal::TickRecord;
+use crate::sim::Hand;
 
 use super::{DaemonError, Pump};
 
@@ -33,6 +36,15 @@ pub trait Bench {
     fn with_pump<R>(&mut self, look: impl FnOnce(&mut Pump) -> R) -> R
     where
         Self: Sized;
+
+    /// Where the calibration profile of the IMU of the FREE `free` is asked for; `None` where it has none.
+    fn profile(&self, _free: usize) -> Option<Arc<ProfileDesk>> {
+        None
+    }
+
+    /// Has the simulated bench's hand do to the FREE `free` what `hand` says, for `duration` from now on. At a real bench
+    /// a person does it.
+    fn pluck(&mut self, _free: usize, _hand: &Hand, _duration: Duration) {}
 
     /// The latest record.
     fn latest(&mut self) -> TickRecord;

@@ -52,6 +52,7 @@ pub(super) fn job(set: &Set, rig: &Rig, record: &TickRecord) -> Result<Job, Prob
         repeats: 1,
         attendance: Attendance::Detached,
         accept_margin: true,
+        hand: None,
         stepped: false,
         and_back: false,
         live: None,

@@ -16,7 +16,7 @@ use thiserror::Error;
 use tokio::net::UnixStream;
 use tokio::time::timeout;
 
-use super::api::{Arm, Event, Heartbeat, Problem, Response, Set, Start, Status};
+use super::api::{Arm, Event, Heartbeat, Problem, ProfileOf, Response, Set, Start, Status};
 use super::socket::estop_path;
 
 /// Longest time for an answer; longer than the server waits for the supervisor.
@@ -122,6 +122,11 @@ impl Client {
     /// Stops the experiment.
     pub async fn stop(&self) -> Result<Response, ClientError> {
         self.post("/v1/stop", &()).await
+    }
+
+    /// Reads the calibration profile of the IMU of `free`.
+    pub async fn profile(&self, free: &str) -> Result<Response, ClientError> {
+        self.post("/v1/profile", &ProfileOf { free: free.into() }).await
     }
 
     /// Says that the client that runs `run` is still there.

@@ -17,6 +17,7 @@ use crate::record::{
     StopDocument, sha256, write_report,
 };
 use crate::signal::{FaultCode, FaultSet, FreeTick, Quantity, RequestKind, State, TickRecord};
+use crate::sim::Hand;
 use crate::trajectory::{Axis, Program, Segment, Sequence, Shape};
 
 /// Beyond the ramp and vent times, how long a fault's reaction is recorded.
@@ -56,6 +57,8 @@ pub struct Job {
     pub attendance: Attendance,
     /// Gains with a margin below the stated one have been accepted.
     pub accept_margin: bool,
+    /// What a person does to the subject meanwhile, for identification; on the simulated bench its hand.
+    pub hand: Option<Hand>,
     /// On the stepped clock.
     pub stepped: bool,
     /// Take the pressures down after each run; by hand they stay.
@@ -84,6 +87,7 @@ impl Job {
             repeats: experiment.repeat.max(1),
             attendance,
             accept_margin: false,
+            hand: None,
             stepped: false,
             and_back: true,
             live: None,
@@ -193,7 +197,10 @@ fn once<B: Bench>(
     bench.attach(recorder);
     // A replay goes on after a record in which nothing runs.
     let result = bench.pass(LOOK).and_then(|()| {
-        drive(bench, rig, &job.program, job.attendance, &mut |record| {
+        if let Some(hand) = &job.hand {
+            bench.pluck(job.subject, hand, Duration::try_from_secs_f64(job.program.duration).unwrap_or_default());
+        }
+        drive(bench, rig, &job.program, job.attendance, job.hand.is_some(), &mut |record| {
             cycles.see(record);
             tell("running", job.program.duration, record);
         })
@@ -217,7 +224,7 @@ fn once<B: Bench>(
     let run = recorder.finish(StopDocument { result, message, lost_records, ..StopDocument::default() })?;
     if result == RunResult::Done && job.and_back && !job.is_stopped() {
         let back = Arc::new(back_to_zero(&bench.latest(), rig)?);
-        drive(bench, rig, &back, job.attendance, &mut |record| {
+        drive(bench, rig, &back, job.attendance, false, &mut |record| {
             cycles.see(record);
             tell("taking the pressures down", back.duration, record);
         })?;
@@ -227,12 +234,13 @@ fn once<B: Bench>(
     Ok(run)
 }
 
-/// Starts `program` and watches it to its end.
+/// Starts `program`, to identify something or not, and watches it to its end.
 fn drive<B: Bench>(
     bench: &mut B,
     rig: &Rig,
     program: &Arc<Program>,
     attendance: Attendance,
+    identify: bool,
     watch: &mut dyn FnMut(&TickRecord),
 ) -> Result<RunResult, DaemonError> {
     let attended = attendance != Attendance::Detached;
@@ -240,7 +248,7 @@ fn drive<B: Bench>(
     if attendance == Attendance::Here {
         bench.heartbeat();
     }
-    bench.request(Request::Start { program: Arc::clone(program), attended, identify: false })?;
+    bench.request(Request::Start { program: Arc::clone(program), attended, identify })?;
     let mut reached = 0.0_f64;
     let mut started = false;
     loop {

@@ -8,18 +8,18 @@ use std::time::Duration;
 use rtrb::Producer;
 
 use super::join::{Joints, join};
-use super::stepped::{axes, detached, lock};
+use super::stepped::{Profiles, axes, detached, lock, note_profiles};
 use super::tick::Switches;
 use super::{Bench, DaemonError, Pump};
 use crate::clock::{Clock, Time};
 use crate::config::Rig;
 use crate::control::{FreeControl, Request};
-use crate::hardware::{DeviceStatistics, I2cOwner, SerialOwner, ValveOwner, i2c, serial};
+use crate::hardware::{DeviceStatistics, I2cOwner, ProfileDesk, SerialOwner, ValveOwner, i2c, serial};
 use crate::record::Recorder;
 use crate::rt;
 use crate::signal::{FreeTick, RegulatorHealth, TickRecord};
-use crate::sim::SimRig;
 use crate::sim::chips::Pty;
+use crate::sim::{Hand, Plant, SimRig};
 
 /// How often the pump takes what waits in the rings.
 const PUMP_PERIOD: Duration = Duration::from_millis(20);
@@ -65,6 +65,9 @@ pub struct LiveBench {
     switches: Arc<Switches>,
     statistics: Arc<rt::Statistics>,
     clock: Clock,
+    profiles: Arc<Profiles>,
+    /// The simulated one.
+    plant: Option<Arc<Mutex<Plant>>>,
 }
 
 impl Live {
@@ -83,6 +86,7 @@ impl Live {
         let promote = promotion(rig.realtime.priority);
         let mut owners = Vec::new();
         let mut ptys = Vec::new();
+        let mut profiles = Profiles::new();
         let mut devices = vec![FreeDevices::default(); rig.control.frees.len()];
 
         for ((index, wiring), ports) in rig.wiring.i2c.iter().enumerate().zip(i2c) {
@@ -92,12 +96,14 @@ impl Live {
                 Some((bus, clock)) => {
                     let owner = I2cOwner::new(wiring, timeout, clock, move || Ok(bus.clone()), ports);
                     let statistics = owner.statistics();
+                    note_profiles(&mut profiles, &owner);
                     (named(&wiring.name, move || serve_i2c(owner, &stop, promote))?, statistics)
                 }
                 None => {
                     let device = wiring.device.clone();
                     let owner = I2cOwner::new(wiring, timeout, clock.fork(), move || i2c::open(&device), ports);
                     let statistics = owner.statistics();
+                    note_profiles(&mut profiles, &owner);
                     (named(&wiring.name, move || serve_i2c(owner, &stop, promote))?, statistics)
                 }
             };
@@ -175,7 +181,15 @@ impl Live {
                 lock(&pump).turn();
             }
         })?;
-        let bench = LiveBench { pump, requests: Arc::new(Mutex::new(requests)), switches, statistics, clock };
+        let bench = LiveBench {
+            pump,
+            requests: Arc::new(Mutex::new(requests)),
+            switches,
+            statistics,
+            clock,
+            profiles: Arc::new(profiles),
+            plant: sim.as_ref().map(SimRig::plant),
+        };
         Ok(Self {
             bench,
             tick: Some(tick),
@@ -347,6 +361,17 @@ impl Bench for LiveBench {
 
     fn with_pump<R>(&mut self, look: impl FnOnce(&mut Pump) -> R) -> R {
         look(&mut lock(&self.pump))
+    }
+
+    fn profile(&self, free: usize) -> Option<Arc<ProfileDesk>> {
+        self.profiles.get(&free).cloned()
+    }
+
+    fn pluck(&mut self, free: usize, hand: &Hand, duration: Duration) {
+        if let Some(plant) = &self.plant {
+            let now = self.clock.now();
+            lock(plant).pluck(free, hand, now, now + duration);
+        }
     }
 
     fn latest(&mut self) -> TickRecord {

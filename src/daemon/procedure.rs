@@ -6,7 +6,8 @@ use super::error::DaemonError;
 use super::{Bench, Change, margin, validity};
 use crate::config::Rig;
 use crate::control::Request;
-use crate::signal::{Refusal, RequestKind, State, TickRecord};
+use crate::hardware::wiring::ImuProfile;
+use crate::signal::{Refusal, RefusalCode, RequestKind, State, TickRecord};
 
 /// How often a procedure looks at the rig.
 pub const LOOK: Duration = Duration::from_millis(20);
@@ -14,6 +15,8 @@ pub const LOOK: Duration = Duration::from_millis(20);
 const BOOT: Duration = Duration::from_secs(8);
 /// Longest time that self-test, vent check and tare may take.
 const ARMING: Duration = Duration::from_secs(10);
+/// Longest time that a sensor's profile may take to be read.
+const PROFILE: Duration = Duration::from_secs(2);
 /// Beyond the ramp and vent times, how long disarming may take.
 const SETTLING: Duration = Duration::from_secs(3);
 
@@ -91,6 +94,28 @@ pub fn disarm<B: Bench>(bench: &mut B, rig: &Rig) -> Result<(), DaemonError> {
     bench.request(Request::Disarm)?;
     let longest = rig.control.ramp_time + rig.control.vent_time + SETTLING;
     reach(bench, rig, longest, "disarmed", &mut refusals, |r| r.state == State::Disarmed)
+}
+
+/// Reads the calibration profile that the IMU of the FREE `free` has found, from a disarmed rig: the readings stop for
+/// about 50 ms.
+///
+/// # Errors
+/// A rig that is not disarmed, a FREE without an IMU, an IMU that does not answer, or the time.
+pub fn read_profile<B: Bench>(bench: &mut B, rig: &Rig, free: usize) -> Result<ImuProfile, DaemonError> {
+    if bench.latest().state != State::Disarmed {
+        return Err(refused(Refusal { code: RefusalCode::WrongState, ..Refusal::NONE }, rig));
+    }
+    let desk = bench.profile(free).ok_or_else(|| DaemonError::Unfit("the FREE has no IMU".into()))?;
+    desk.ask();
+    let end = bench.now() + PROFILE;
+    while bench.now() < end {
+        bench.pass(LOOK)?;
+        if let Some(answer) = desk.take() {
+            return Ok(answer?);
+        }
+    }
+    let state = bench.latest().state.name();
+    Err(DaemonError::Timeout { wanted: "a reading of the sensor's profile", seconds: PROFILE.as_secs_f64(), state })
 }
 
 /// Clears the latched faults and waits until the rig is disarmed.

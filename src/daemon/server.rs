@@ -23,7 +23,9 @@ use tokio::sync::{broadcast, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
-use super::api::{Arm, Event, Happening, Heartbeat, Problem, ProblemKind, Request, Response, Set, Start, Status};
+use super::api::{
+    Arm, Event, Happening, Heartbeat, Problem, ProblemKind, ProfileOf, Request, Response, Set, Start, Status,
+};
 use super::connection::Door;
 use super::estop::EstopDoor;
 use super::handle::Handle;
@@ -120,6 +122,10 @@ fn routes(office: Arc<Office>) -> Router {
             "/v1/start",
             post(async |State(office): Shared, Read(start): Read<Start>| office.ask(Request::Start(start)).await),
         )
+        .route(
+            "/v1/profile",
+            post(async |State(office): Shared, Read(of): Read<ProfileOf>| office.ask(Request::Profile(of)).await),
+        )
         .route("/v1/heartbeat", post(heartbeat))
         .route("/v1/estop", post(estop))
         .fallback(async || Problem::new(ProblemKind::NotFound, "there is nothing at this address", ROUTES))
@@ -130,8 +136,7 @@ fn routes(office: Arc<Office>) -> Router {
         .with_state(office)
 }
 
-const ROUTES: &str =
-    "GET /v1/status, /v1/status/stream, /v1/events; POST /v1/arm, disarm, clear, set, start, stop, heartbeat, estop";
+const ROUTES: &str = "GET /v1/status, /v1/status/stream, /v1/events; POST /v1/arm, disarm, clear, set, start, stop, profile, heartbeat, estop";
 
 /// Lets in whoever may control the rig.
 async fn admit(

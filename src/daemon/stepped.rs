@@ -4,6 +4,7 @@
 //! their transfers, then take their next turn), the valve's owner, the serial owners (polled until they wait),
 //! the tick. Plant and chips advance when they are asked. The same seed gives the same bits.
 
+use std::collections::BTreeMap;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,12 +20,12 @@ use super::{Bench, DaemonError, Pump};
 use crate::clock::{Stepper, Time};
 use crate::config::Rig;
 use crate::control::Request;
-use crate::hardware::{I2cOwner, SerialOwner, ValveOwner};
+use crate::hardware::{I2cOwner, ProfileDesk, SerialOwner, ValveOwner};
 use crate::record::Recorder;
 use crate::rt::{Schedule, Timing};
 use crate::signal::TickRecord;
 use crate::sim::chips::SimI2c;
-use crate::sim::{SimDumpValve, SimRig};
+use crate::sim::{Hand, SimDumpValve, SimRig};
 
 type SerialTask = Pin<Box<dyn Future<Output = ()>>>;
 
@@ -67,7 +68,11 @@ pub struct Stepped {
     pump: Pump,
     requests: Producer<Request>,
     switches: Arc<Switches>,
+    profiles: Profiles,
 }
+
+/// By FREE: where its IMU's calibration profile is asked for.
+pub(super) type Profiles = BTreeMap<usize, Arc<ProfileDesk>>;
 
 impl Stepped {
     /// The simulated rig of `rig`, at time zero, vented; `rig.bench.seed` is its seed.
@@ -82,9 +87,11 @@ impl Stepped {
         let timeout = rig.wiring.command_timeout;
         let stop = Arc::new(AtomicBool::new(false));
         let mut turns = Vec::new();
+        let mut profiles = Profiles::new();
         for ((index, wiring), ports) in rig.wiring.i2c.iter().enumerate().zip(i2c) {
             let Some((bus, clock)) = sim.i2c(index) else { continue };
             let owner = I2cOwner::new(wiring, timeout, clock, move || Ok(bus.clone()), ports);
+            note_profiles(&mut profiles, &owner);
             turns.push(I2cTurn { owner, staged: false });
         }
         let mut tasks: Vec<SerialTask> = Vec::new();
@@ -115,6 +122,7 @@ impl Stepped {
             pump,
             requests,
             switches,
+            profiles,
         })
     }
 
@@ -206,6 +214,15 @@ impl Bench for Stepped {
         look(&mut self.pump)
     }
 
+    fn profile(&self, free: usize) -> Option<Arc<ProfileDesk>> {
+        self.profiles.get(&free).cloned()
+    }
+
+    fn pluck(&mut self, free: usize, hand: &Hand, duration: Duration) {
+        let now = self.stepper.now();
+        lock(&self.sim.plant()).pluck(free, hand, now, now + duration);
+    }
+
     fn latest(&mut self) -> TickRecord {
         *self.pump.latest()
     }
@@ -216,6 +233,13 @@ impl Bench for Stepped {
 
     fn detach(&mut self) -> Result<Option<Recorder>, DaemonError> {
         detached(self.pump.detach())
+    }
+}
+
+/// Notes where the profiles of `owner`'s IMUs are asked for.
+pub(super) fn note_profiles<I: embedded_hal::i2c::I2c>(profiles: &mut Profiles, owner: &I2cOwner<I>) {
+    for (frees, desk) in owner.profiles() {
+        profiles.extend(frees.iter().map(|&free| (free, Arc::clone(desk))));
     }
 }
 

@@ -304,7 +304,7 @@ impl Supervisor {
                 }
                 if let Some(answer) = self.work.as_mut().and_then(|work| work.answer.take()) {
                     let message = format!("{} has begun", run.id);
-                    let _ = answer.send(Ok(Response { message, run: Some(run) }));
+                    let _ = answer.send(Ok(Response { run: Some(run), ..Response::done(message) }));
                 }
             }
             Report::Finished(result) => self.tell(Happening::RunFinished(result)),
@@ -374,6 +374,7 @@ impl Supervisor {
                 _ => return self.disarm(answer),
             },
             api::Request::Stop => self.stop(),
+            api::Request::Profile(of) => return self.profile(&of.free, answer),
             api::Request::Set(set) => match byhand::job(&set, &self.rig, &self.bench.latest()) {
                 Ok(job) => return self.job(job, answer),
                 Err(problem) => Err(problem),
@@ -439,6 +440,7 @@ impl Supervisor {
         let mut job = Job { accept_margin: start.accept_margin, ..Job::new(experiment, attendance) };
         job.repeats = start.repeat.unwrap_or(job.repeats).max(1);
         job.note = start.note.clone().unwrap_or(job.note);
+        job.hand = start.hand.clone();
         Ok(job)
     }
 
@@ -453,6 +455,29 @@ impl Supervisor {
             let done = procedure::disarm(&mut bench, &rig);
             // Without a supervisor the rig is vented, and the client told that the daemon is gone.
             let _ = reports.send(Report::Disarmed(done, answer));
+        });
+    }
+
+    /// Reads the calibration profile of the IMU of the FREE `name`.
+    fn profile(&self, name: &str, answer: Answer) {
+        let free = self.rig.free(name).ok_or_else(|| {
+            let names: Vec<_> = self.rig.free_names().collect();
+            let error = format!("there is no FREE called `{name}`");
+            Problem::new(ProblemKind::Usage, error, format!("this rig has: {}", names.join(", ")))
+        });
+        let free = match self.busy().and(free) {
+            Ok(free) => free,
+            Err(problem) => {
+                let _ = answer.send(Err(problem));
+                return;
+            }
+        };
+        let (mut bench, rig) = (self.bench.clone(), Arc::clone(&self.rig));
+        tokio::task::spawn_blocking(move || {
+            let done = procedure::read_profile(&mut bench, &rig, free);
+            let done =
+                done.map(|profile| Response { profile: Some(profile.into()), ..Response::done("the profile is read") });
+            let _ = answer.send(done.map_err(|error| Problem::from(&error)));
         });
     }
 

@@ -266,7 +266,10 @@ impl<I: I2c> Bno055<I> {
                         hexadecimal(&profile.unique_id),
                         self.identity.serial
                     ),
-                    remedy: "Run `freerig calibrate imu`, or put the former sensor back".into(),
+                    remedy:
+                        "Put the former sensor back, or remove `sensor_id` and `profile` from `[imu]` of the FREE's \
+                             calibration, start again, and run `freerig calibrate imu`"
+                            .into(),
                 });
             }
             let wanted = BNO055Calibration::from_buf(&profile.registers);

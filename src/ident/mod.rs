@@ -5,6 +5,7 @@ pub mod imu;
 mod least_squares;
 pub mod loads;
 pub mod material;
+pub mod pluck;
 pub mod regulator;
 pub mod ringdown;
 pub mod sweep;

@@ -154,7 +154,8 @@ pub fn fit_sweep(points: &[RestPoint], free: &Free) -> Result<SweepFit, SweepErr
         }
     }
     let right = DVector::from_vec(moments);
-    let solution = non_negative(&(columns.transpose() * &columns), &(columns.transpose() * &right))?;
+    let solution = non_negative(&(columns.transpose() * &columns), &(columns.transpose() * &right), FREE)
+        .ok_or(SweepError::NotConverged)?;
     let stiffness = solution[0];
     if stiffness <= 0.0 {
         return Err(SweepError::NotPositive(stiffness));
@@ -211,20 +212,21 @@ fn moments(points: &[RestPoint], free: &Free) -> Result<Vec<f64>, SweepError> {
     points.iter().map(moment).collect()
 }
 
-/// Minimises x' G x / 2 - g' x with all but the first [`FREE`] x not negative: Lawson and Hanson's active set.
-fn non_negative(gram: &DMatrix<f64>, right: &DVector<f64>) -> Result<DVector<f64>, SweepError> {
+/// Minimises x' G x / 2 - g' x with all but the first `free` x not negative: Lawson and Hanson's active set. `None`
+/// where it does not come to an end.
+pub(super) fn non_negative(gram: &DMatrix<f64>, right: &DVector<f64>, free: usize) -> Option<DVector<f64>> {
     let count = right.len();
     let scale = |i: usize| gram[(i, i)].sqrt();
     let largest = (0..count).filter(|&i| scale(i) > 0.0).map(|i| (right[i] / scale(i)).abs()).fold(0.0, f64::max);
     let mut x = DVector::zeros(count);
     // The first are always in use; a column of zeros never.
-    let mut used: Vec<usize> = (0..FREE).collect();
+    let mut used: Vec<usize> = (0..free).collect();
     for _ in 0..ROUNDS {
         loop {
             let inner = gram.select_rows(&used).select_columns(&used);
             let target = right.select_rows(&used);
-            let wanted = inner.cholesky().ok_or(SweepError::NotConverged)?.solve(&target);
-            let blocks = |k: &usize| used[*k] >= FREE && wanted[*k] <= 0.0;
+            let wanted = inner.cholesky()?.solve(&target);
+            let blocks = |k: &usize| used[*k] >= free && wanted[*k] <= 0.0;
             let step =
                 (0..used.len()).filter(blocks).map(|k| x[used[k]] / (x[used[k]] - wanted[k])).fold(1.0, f64::min);
             for (k, &i) in used.iter().enumerate() {
@@ -234,11 +236,11 @@ fn non_negative(gram: &DMatrix<f64>, right: &DVector<f64>) -> Result<DVector<f64
                 break;
             }
             // Who came down to zero leaves; at least one has.
-            let spent = |i: usize| i >= FREE && x[i] * scale(i) <= 1e-14 * largest;
+            let spent = |i: usize| i >= free && x[i] * scale(i) <= 1e-14 * largest;
             let left: Vec<_> = used.iter().copied().filter(|&i| !spent(i)).collect();
             (0..count).filter(|i| !left.contains(i)).for_each(|i| x[i] = 0.0);
             if left.len() == used.len() {
-                return Err(SweepError::NotConverged);
+                return None;
             }
             used = left;
         }
@@ -249,10 +251,10 @@ fn non_negative(gram: &DMatrix<f64>, right: &DVector<f64>) -> Result<DVector<f64
             .max_by(|&a, &b| relative(a).total_cmp(&relative(b)));
         match next {
             Some(i) => used.push(i),
-            None => return Ok(x),
+            None => return Some(x),
         }
     }
-    Err(SweepError::NotConverged)
+    None
 }
 
 #[cfg(test)]

@@ -18,6 +18,7 @@ mod error;
 mod export;
 mod figures;
 mod html;
+mod imu;
 mod live;
 mod loads;
 mod locus;
@@ -49,6 +50,7 @@ pub use document::{
 };
 pub use error::{RecordError, Result};
 pub use export::{Exported, Format, TIME_BASE, export};
+pub use imu::{ImuReading, damping_sheet, imu_sheet};
 pub use live::{LiveFeed, LiveOptions, LiveView};
 pub use loads::{LoadsDrawing, draw_loads};
 pub use locus::locus_sheet;

@@ -18,8 +18,10 @@ pub struct Sheet {
     pub remarks: Vec<String>,
     /// Names and values, in their order.
     pub facts: Vec<(String, String)>,
+    /// Other pages: what they are, and their paths from this one.
+    pub links: Vec<(String, String)>,
     /// Captions and drawings, in their order.
-    pub(super) figures: Vec<(String, Plot)>,
+    pub(crate) figures: Vec<(String, Plot)>,
 }
 
 impl Sheet {
@@ -47,6 +49,13 @@ impl Sheet {
             page.fact(name, value);
         }
         page.raw("</tbody></table>");
+        if !self.links.is_empty() {
+            page.raw("<ul>");
+            for (what, path) in &self.links {
+                page.raw(&format!("<li><a href=\"{}\">{}</a></li>", escape(path), escape(what)));
+            }
+            page.raw("</ul>");
+        }
         for (caption, plot) in &self.figures {
             page.figure(caption, &plot.svg()?);
         }

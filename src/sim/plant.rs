@@ -52,6 +52,8 @@ pub enum PlantFault {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Event {
     Setpoint(usize, f64),
+    Grip(usize, Option<f64>),
+    AddedInertia(usize, f64),
     Dump(bool),
     Fault(PlantFault),
 }
@@ -153,6 +155,21 @@ impl Plant {
         self.schedule(at, Event::Fault(fault));
     }
 
+    /// A hand takes hold of a FREE's end at `at` and turns it with `moment` (N m), or lets it go.
+    pub(super) fn grip(&mut self, free: usize, moment: Option<f64>, at: Time) {
+        self.schedule(at, Event::Grip(free, moment));
+    }
+
+    /// The inertia on a FREE's end beside its own becomes `inertia` (kg m2) at `at`.
+    pub(super) fn add_inertia(&mut self, free: usize, inertia: f64, at: Time) {
+        self.schedule(at, Event::AddedInertia(free, inertia));
+    }
+
+    /// The seed of everything random.
+    pub(super) fn seed(&self) -> u64 {
+        self.seed
+    }
+
     /// Brings the state to `time` (the next grid point where it falls between two); never goes back.
     pub fn advance_to(&mut self, time: Time) {
         let target = grid(time);
@@ -235,6 +252,8 @@ impl Plant {
         let now = self.step as f64 * STEP.as_secs_f64();
         match event {
             Event::Setpoint(free, pascals) => self.branch(free, |b| b.regulator.set(pascals)),
+            Event::Grip(free, moment) => self.branch(free, |b| b.tip.grip = moment),
+            Event::AddedInertia(free, inertia) => self.branch(free, |b| b.tip.added_inertia = inertia.max(0.0)),
             Event::Dump(open) => self.dump.switch(open, now),
             Event::Fault(PlantFault::Leak(free, time)) => self.branch(free, |b| b.regulator.leak = time.max(1e-6)),
             Event::Fault(PlantFault::Valve(free, valve)) => self.branch(free, |b| b.regulator.valve = valve),

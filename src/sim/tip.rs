@@ -35,6 +35,10 @@ pub struct Tip {
     pub load: f64,
     /// Constant external axial force, N, outwards.
     pub pull: f64,
+    /// Moment of a hand that holds the end, N m; none where nobody does.
+    pub grip: Option<f64>,
+    /// Inertia on the end beside the FREE's own, kg m2.
+    pub added_inertia: f64,
     /// Range of the extension, m.
     extension_stops: (f64, f64),
     /// Range of the angle, rad.
@@ -54,6 +58,8 @@ impl Tip {
             friction,
             load,
             pull: 0.0,
+            grip: None,
+            added_inertia: 0.0,
             extension_stops: (-0.5 * free.length, reach.min(0.5) * free.length),
             angle_stops: (a.min(b), a.max(b)),
             state: [0.0; 4],
@@ -130,7 +136,10 @@ impl Tip {
         let [s, v, angle, rate] = *x;
         let (force, moment) = self.balance(s, angle, pressure);
         let f = &self.free;
-        [v, (force - f.axial_damping * v) / f.mass, rate, (moment - f.torsional_damping * rate) / f.inertia]
+        let inertia = f.inertia + self.added_inertia;
+        // Flesh damps what it holds: about critically.
+        let grip = self.grip.map_or(0.0, |moment| moment - 2.0 * (f.torsional_stiffness * inertia).sqrt() * rate);
+        [v, (force - f.axial_damping * v) / f.mass, rate, (moment + grip - f.torsional_damping * rate) / inertia]
     }
 
     /// Force (N) and moment (N m) on the end at rest at (`s`, `angle`); positions are taken within the stops, which
@@ -152,7 +161,12 @@ impl Tip {
         let rate = |c: f64, k: f64, m: f64| (c / m).max((k / m).sqrt());
         // The slip elements add at most their whole stiffness, the pressure about as much as the FREE's own.
         let torsional = 2.0 * f.torsional_stiffness + self.friction.full_stiffness();
-        rate(f.axial_damping, 2.0 * f.axial_stiffness, f.mass).max(rate(f.torsional_damping, torsional, f.inertia))
+        let grip = self.grip.map_or(0.0, |_| 2.0 * (f.torsional_stiffness * (f.inertia + self.added_inertia)).sqrt());
+        rate(f.axial_damping, 2.0 * f.axial_stiffness, f.mass).max(rate(
+            f.torsional_damping + grip,
+            torsional,
+            f.inertia + self.added_inertia,
+        ))
     }
 
     /// Equilibrium (extension, angle) at `pressure` near the present state, with the sliders where they stand;

@@ -1,6 +1,9 @@
 //! `freerig calibrate`: measures what is not known of a FREE, and puts it into its calibration file.
 
+mod all;
 mod ask;
+mod damping;
+mod imu;
 mod loads;
 mod material;
 mod regulator;
@@ -14,10 +17,12 @@ use serde::Serialize;
 
 use super::experiment::stepped;
 use super::free::subject;
+use super::table::Table;
 use super::{Context, Failure, attend};
 use crate::config::experiment::Experiment;
 use crate::config::{Rig, Script};
 use crate::daemon::api::Start;
+use crate::daemon::calibration::damping::Plan;
 use crate::daemon::calibration::{CalibrationError, Finding, FoundValue};
 use crate::daemon::experiment::{Attendance, Job};
 use crate::daemon::validity;
@@ -29,6 +34,7 @@ The rig must be armed (`freerig arm`); Ctrl-C takes the pressures down and leave
 
 Examples:
   freerig calibrate stiffness --free paper
+  freerig calibrate all --free paper
   freerig calibrate stiffness --free paper --script answers.toml
   freerig calibrate stiffness --free paper --stepped --seed 7
   freerig calibrate material --free paper --script tests.toml";
@@ -45,10 +51,16 @@ pub struct Args {
 enum What {
     /// E, mu, alpha and the fibres' EA, from files of tensile tests and of a bare tube's inflation
     Material(material::Args),
+    /// Noise, drift and axis of the IMU; its own calibration profile is saved
+    Imu(How),
     /// Lag, dead time and slew of the pressure regulator, its zero, span and hysteresis
     Regulator(How),
     /// Torsional stiffness kt and hysteresis, from a staircase of pressure; ke and kt from known weights and torques
     Stiffness(How),
+    /// Torsional damping ct, by plucks; the inertia, too, where one is added
+    Damping(How),
+    /// All of these in their order, then the gains: each on what the ones before it found
+    All(How),
 }
 
 /// How a calibration is carried out.
@@ -74,6 +86,9 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         What::Material(args) => material::run(&args, context),
         What::Regulator(how) => regulator::run(&how, context),
         What::Stiffness(how) => stiffness::run(&how, context),
+        What::Imu(how) => imu::run(&how, context),
+        What::Damping(how) => damping::run(&how, context),
+        What::All(how) => all::run(&how, context),
     }
 }
 
@@ -132,11 +147,24 @@ fn confirm(how: &How, rig: &Rig, step: &str, instruction: &str, context: &Contex
 
 /// Runs the experiment `text` and answers its run; anything but a whole run is a failure, and vented.
 fn measure(how: &How, rig: &Rig, index: usize, text: &str, context: &Context) -> Result<Run, Failure> {
+    by_hand(how, rig, index, text, None, context)
+}
+
+/// The same with what a person does meanwhile. The simulated bench has a hand of its own.
+fn by_hand(
+    how: &How,
+    rig: &Rig,
+    index: usize,
+    text: &str,
+    hand: Option<&Plan>,
+    context: &Context,
+) -> Result<Run, Failure> {
     let name = &rig.control.frees[index].name;
+    let told = hand.map(|plan| plan.hand.clone());
     let outcome = if how.stepped {
         let experiment = Experiment::parse("calibration.toml".as_ref(), text, rig, Some(name))?;
         // A loop that is not closed has no margin.
-        let job = Job { accept_margin: true, stepped: true, ..Job::new(experiment, Attendance::Here) };
+        let job = Job { accept_margin: true, stepped: true, hand: told, ..Job::new(experiment, Attendance::Here) };
         stepped(rig, &job)?
     } else {
         let start = Start {
@@ -144,9 +172,11 @@ fn measure(how: &How, rig: &Rig, index: usize, text: &str, context: &Context) ->
             experiment: text.into(),
             free: Some(name.clone()),
             repeat: Some(1),
+            hand: told,
             ..Start::default()
         };
-        let outcome = attend::watch(&rig.socket.path, &start, context)?;
+        let cues = hand.filter(|_| !rig.is_simulated()).map(Plan::cues).unwrap_or_default();
+        let outcome = attend::cued(&rig.socket.path, &start, &cues, context)?;
         if outcome.runs.last().is_some_and(|run| run.outcome == "aborted") {
             attend::disarm(&rig.socket.path)?;
         }
@@ -190,20 +220,28 @@ fn tell(finding: &Finding, rig: &Rig, index: usize, run: &Run, context: &Context
 
 /// Four significant digits.
 fn significant(value: f64) -> String {
+    if value != 0.0 && value.abs() < 1e-4 {
+        return format!("{value:.3e}");
+    }
     let digits = if value == 0.0 { 0.0 } else { (3.0 - value.abs().log10().floor()).clamp(0.0, 9.0) };
     format!("{value:.0$}", digits as usize)
 }
 
+/// Values before and now.
+fn value_table<'a>(values: impl IntoIterator<Item = &'a FoundValue>) -> Table {
+    let mut table = Table::new(&["value", ">before", ">now", ">standard uncertainty", ">section law"]);
+    let dash = |value: Option<f64>| value.map_or("-".into(), significant);
+    for v in values {
+        let percent = 100.0 * v.standard_uncertainty / v.value.abs();
+        let uncertainty = format!("{} ({percent:.2} %)", significant(v.standard_uncertainty));
+        table.row([v.key.into(), dash(v.before), significant(v.value), uncertainty, dash(v.prediction)]);
+    }
+    table
+}
+
 impl Answer<'_> {
     fn text(&self) -> String {
-        let mut table =
-            super::table::Table::new(&["value", ">before", ">now", ">standard uncertainty", ">section law"]);
-        let dash = |value: Option<f64>| value.map_or("-".into(), significant);
-        for v in self.values {
-            let percent = 100.0 * v.standard_uncertainty / v.value.abs();
-            let uncertainty = format!("{} ({percent:.2} %)", significant(v.standard_uncertainty));
-            table.row([v.key.into(), dash(v.before), significant(v.value), uncertainty, dash(v.prediction)]);
-        }
+        let table = value_table(self.values);
         let simulated = if self.simulated { "SIMULATED: devices and FREE are simulated\n\n" } else { "" };
         let remarks: String = self.remarks.iter().map(|remark| format!("\nnote: {remark}")).collect();
         format!(

@@ -7,31 +7,35 @@ use jiff::Zoned;
 use super::{How, ask, confirm, failure, loads, measure, prepare, tell};
 use crate::cli::{Context, Failure, attend, control};
 use crate::config::{Rig, Script};
-use crate::daemon::calibration::{channels, gauge, regulator, stiffness};
+use crate::daemon::calibration::{Finding, channels, gauge, regulator, stiffness};
 use crate::record::Run;
 use crate::sim::Person;
 use crate::units::{PASCAL_PER_PSI, Pressure};
 
 pub(super) fn run(how: &How, context: &Context) -> Result<(), Failure> {
     let (rig, index) = prepare(how, context)?;
-    if gauge::channel(&rig, index).is_some() {
-        return behind_a_dac(how, &rig, index, context);
+    let (finding, run) = find(how, &rig, index, context)?;
+    tell(&finding, &rig, index, &run, context)
+}
+
+pub(super) fn find(how: &How, rig: &Rig, index: usize, context: &Context) -> Result<(Finding, Run), Failure> {
+    if gauge::channel(rig, index).is_some() {
+        return behind_a_dac(how, rig, index, context);
     }
-    let highest = stiffness::highest_pressure(&rig, index).map_err(failure)?;
+    let highest = stiffness::highest_pressure(rig, index).map_err(failure)?;
     let instruction = format!(
         "The FREE is on its regulator and hangs free. Its pressure will jump up to {:.2} for half a minute; nobody is near \
          it without eye protection.",
         Pressure::pascals(highest)
     );
-    confirm(how, &rig, "regulator", &instruction, context)?;
-    let text = regulator::experiment(&rig, index).map_err(failure)?;
-    let run = measure(how, &rig, index, &text, context)?;
+    confirm(how, rig, "regulator", &instruction, context)?;
+    let text = regulator::experiment(rig, index).map_err(failure)?;
+    let run = measure(how, rig, index, &text, context)?;
     let today = Zoned::now().date().to_string();
-    let finding = regulator::evaluate(&rig, index, &run, &today).map_err(failure)?;
-    tell(&finding, &rig, index, &run, context)
+    Ok((regulator::evaluate(rig, index, &run, &today).map_err(failure)?, run))
 }
 
-fn behind_a_dac(how: &How, rig: &Rig, index: usize, context: &Context) -> Result<(), Failure> {
+fn behind_a_dac(how: &How, rig: &Rig, index: usize, context: &Context) -> Result<(Finding, Run), Failure> {
     let highest = stiffness::highest_pressure(rig, index).map_err(failure)?;
     let instruction = format!(
         "Every FREE behind a DAC is on its regulator and hangs free, and a gauge is on the line of `{}`. The channels \
@@ -47,8 +51,7 @@ fn behind_a_dac(how: &How, rig: &Rig, index: usize, context: &Context) -> Result
     context.note(&map);
     let (run, readings) = read(how, rig, index, mapped, context)?;
     let today = Zoned::now().date().to_string();
-    let finding = gauge::evaluate(rig, index, &readings, &map, &run, &today).map_err(failure)?;
-    tell(&finding, rig, index, &run, context)
+    Ok((gauge::evaluate(rig, index, &readings, &map, &run, &today).map_err(failure)?, run))
 }
 
 /// The gauge's readings at every step, and the run that they belong to: from the script, by the simulated person, or by

@@ -7,7 +7,9 @@
 //! is written before all of that has been successful.
 
 pub mod channels;
+pub mod damping;
 pub mod gauge;
+pub mod imu;
 pub mod loads;
 pub mod material;
 pub mod regulator;
@@ -18,7 +20,8 @@ use thiserror::Error;
 use super::{cycles, validity};
 use crate::config::calibration::{Entry, Key};
 use crate::config::{Calibration, Conditions, FittedGeometry, Rig};
-use crate::ident::{Measured, SweepError};
+use crate::ident::pluck::PluckError;
+use crate::ident::{Measured, RingDownError, SweepError};
 use crate::model::{EquilibriumError, FreeError};
 use crate::record::{RecordError, Run, Sheet};
 
@@ -151,6 +154,40 @@ pub enum CalibrationError {
     /// A test of the material does not carry what it is for.
     #[error("{0}")]
     Material(String),
+    /// The run says nothing, or nothing good, of the IMU.
+    #[error("the run {run} gives no IMU: {reason}")]
+    Imu {
+        /// Its id.
+        run: String,
+        /// Why.
+        reason: String,
+    },
+    /// The IMU sits otherwise than rig.toml says.
+    #[error(
+        "the axis of `{free}` is [{:.3}, {:.3}, {:.3}] in its sensor's frame, and rig.toml says [{:.3}, {:.3}, {:.3}]: {:.1} deg \
+         apart; {remedy}",
+        .found[0], .found[1], .found[2], .configured[0], .configured[1], .configured[2], .off.to_degrees()
+    )]
+    Axis {
+        /// The FREE.
+        free: String,
+        /// How far apart, rad.
+        off: f64,
+        /// What was found.
+        found: [f64; 3],
+        /// What rig.toml says.
+        configured: [f64; 3],
+        /// The line to write.
+        remedy: String,
+    },
+    /// The run says nothing of the damping.
+    #[error("the run {run} gives no damping: {source}")]
+    Damping {
+        /// Its id.
+        run: String,
+        /// Why.
+        source: PluckError,
+    },
     /// The model has no such FREE.
     #[error(transparent)]
     Free(#[from] FreeError),
@@ -188,6 +225,22 @@ impl CalibrationError {
                  untouched"
             }
             CalibrationError::Material(_) => "correct the file or test again; the old calibration is untouched",
+            CalibrationError::Imu { .. } => {
+                "let the FREE hang still and untouched, look at the sensor's mounting and cable, and run it again; the old \
+                 calibration is untouched"
+            }
+            CalibrationError::Axis { .. } => {
+                "correct that line (the program never writes rig.toml), start the daemon again, and run this again; the old \
+                 calibration is untouched"
+            }
+            CalibrationError::Damping { source: PluckError::RingDown(RingDownError::BeyondSensor { .. }), .. } => {
+                "add an inertia to the end and say how large it is (`added_inertia_kg_m2 = [...]` in the script): it rings \
+                 more slowly then; two different ones give the FREE's own inertia too"
+            }
+            CalibrationError::Damping { .. } => {
+                "turn the end by hand as far as it says, hold it still for a second, let go at once, and let it come to rest; \
+                 the old calibration is untouched"
+            }
             CalibrationError::Free(_) | CalibrationError::Equilibrium(_) => {
                 "correct the geometry and the stiffnesses in the calibration: they are the start of the search"
             }

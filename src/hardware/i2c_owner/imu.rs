@@ -8,6 +8,7 @@ use embedded_hal::i2c::I2c;
 use super::recovery::{IMU_LOST_AFTER, Recovery, Rung, with_retries};
 use crate::clock::{Clock, Time};
 use crate::hardware::bno055::{Bno055, Progress};
+use crate::hardware::profile::ProfileDesk;
 use crate::hardware::statistics::DeviceStatistics;
 use crate::hardware::wiring::ImuWiring;
 use crate::hardware::{HardwareError, Imu, Reading};
@@ -23,6 +24,8 @@ const FRAME: Duration = Duration::from_millis(10);
 pub(super) struct ImuSeat<I> {
     pub wiring: ImuWiring,
     pub statistics: Arc<DeviceStatistics>,
+    /// Where its calibration profile is asked for.
+    pub profile: Arc<ProfileDesk>,
     /// When it wants its next turn.
     pub due: Time,
     /// Reading of this turn, until it is published.
@@ -48,6 +51,7 @@ impl<I: I2c> ImuSeat<I> {
         let device = format!("BNO055 at {:#04x} on {bus}", wiring.address);
         Self {
             statistics: Arc::new(DeviceStatistics::new(device.into())),
+            profile: Arc::default(),
             name: bus.into(),
             wiring,
             due: now,
@@ -67,7 +71,9 @@ impl<I: I2c> ImuSeat<I> {
     /// One turn: at most one burst, or one step of the set-up.
     pub fn turn(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
         let begun = clock.now();
-        if self.running {
+        if self.running && self.profile.is_asked() {
+            self.save_profile(clock);
+        } else if self.running {
             self.read(clock, open);
         } else if begun >= self.resume {
             self.set_up(clock, open);
@@ -133,6 +139,13 @@ impl<I: I2c> ImuSeat<I> {
             }
             Err(_) => self.climb(clock, open),
         }
+    }
+
+    /// Reads the profile that the sensor has found; the next reading is one of a new frame.
+    fn save_profile(&mut self, clock: &Clock) {
+        let Some(driver) = &mut self.driver else { return };
+        self.profile.answer(driver.save_profile());
+        self.changed = clock.now();
     }
 
     /// The next step of the set-up.

@@ -23,6 +23,7 @@ pub use self::dac::DAC_PERIOD;
 use self::dac::DacSeat;
 use self::imu::ImuSeat;
 use super::HardwareError;
+use super::profile::ProfileDesk;
 use super::statistics::DeviceStatistics;
 use super::wiring::I2cWiring;
 use crate::clock::{Clock, Time};
@@ -76,6 +77,11 @@ impl<I: I2c> I2cOwner<I> {
     /// What happens to each device, for `status`: DACs first, then IMUs, in the order of rig.toml.
     pub fn statistics(&self) -> Vec<Arc<DeviceStatistics>> {
         self.dacs.iter().map(|d| d.statistics.clone()).chain(self.imus.iter().map(|i| i.statistics.clone())).collect()
+    }
+
+    /// Where the profile of each IMU is asked for, by the FREEs that it serves.
+    pub fn profiles(&self) -> impl Iterator<Item = (&[usize], &Arc<ProfileDesk>)> {
+        self.imus.iter().map(|seat| (seat.wiring.frees.as_slice(), &seat.profile))
     }
 
     /// When the next device wants its turn.

@@ -181,11 +181,32 @@ impl Bno055Chip {
         self.still = if at_rest { self.still.saturating_add(frames) } else { 0 };
         let profile = self.page[0][usize::from(*PROFILE.start())..=usize::from(*PROFILE.end())].iter().any(|&b| b != 0);
         let wanted = if profile { STILL_FRAMES.1 } else { STILL_FRAMES.0 };
-        self.calibrated |= self.still >= wanted;
+        if self.still >= wanted && !self.calibrated {
+            self.calibrated = true;
+            if !profile {
+                self.find_offsets();
+            }
+        }
         let gyro = if self.calibrated { 3 } else { (self.still * 3 / wanted).min(2) as u8 };
         let accelerometer = if profile { 3 } else { 0 };
         let system = if gyro == 3 && accelerometer == 3 { 3 } else { 0 };
         self.page[0][usize::from(CALIB_STAT)] = system << 6 | gyro << 4 | accelerometer << 2;
+    }
+
+    /// What the chip makes of its rest: offsets of accelerometer and gyro, each sensor's own, and the radii that it
+    /// begins with.
+    fn find_offsets(&mut self) {
+        let mut own = Pcg64::seed_from_u64(self.sim.seed ^ 0x55);
+        let offsets: [i16; 9] = std::array::from_fn(|i| match i {
+            0..=2 => own.random_range(-30..=30),
+            // The magnetometer is not used.
+            3..=5 => 0,
+            _ => own.random_range(-8..=8),
+        });
+        let registers = offsets.into_iter().chain([1000, 480]).flat_map(i16::to_le_bytes);
+        for (register, byte) in PROFILE.zip(registers) {
+            self.page[0][usize::from(register)] = byte;
+        }
     }
 
     /// Writes one fusion frame into the data registers, with noise, axis map, units and quantisation.
