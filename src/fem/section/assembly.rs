@@ -141,7 +141,8 @@ impl Assembly {
             let turned = -0.5 * square * s.z;
             let weight = point.weight;
             self.energy -= pressure * weight * (stretch * swept + rate * turned);
-            self.conjugate -= Vector3::new(pressure * swept, pressure * turned, stretch * swept + rate * turned) * weight;
+            self.conjugate -=
+                Vector3::new(pressure * swept, pressure * turned, stretch * swept + rate * turned) * weight;
             self.hessian[(0, 2)] -= weight * swept;
             self.hessian[(2, 0)] -= weight * swept;
             self.hessian[(1, 2)] -= weight * turned;
