@@ -36,17 +36,24 @@
 //! path from rest with [`SectionError::BeyondLimit`], which names the pressure; no state is returned whose second
 //! variation is not positive definite.
 
+mod accuracy;
 mod assembly;
 mod band;
+mod bending;
 mod error;
 mod fields;
 mod mesh;
 mod newton;
 mod path;
+mod phased;
 mod saddle;
 
+pub use accuracy::{Curve, curve_within};
+pub use bending::Bending;
 pub use error::{Limit, LimitKind, SectionError};
 pub use mesh::Mesh;
+
+use std::f64::consts::PI;
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -74,6 +81,13 @@ impl Section {
     /// The section of `tube` on `mesh`.
     pub fn new(tube: &Tube, mesh: Mesh) -> Result<Section, SectionError> {
         Ok(Section { sector: Sector::new(tube, mesh)?, mesh, tube: *tube })
+    }
+
+    /// The section with its fibres smeared into a layer all round, `radial` elements through the wall: a problem in R
+    /// alone. Good for free motion (twist a few per cent too large), useless for blocked force; far cheaper.
+    pub fn smeared(tube: &Tube, radial: usize) -> Result<Section, SectionError> {
+        let share = 2.0 * PI * tube.outer_radius() / tube.fibers as f64;
+        Section::new(&Tube { fiber_width: share, ..*tube }, Mesh { radial, strip: 1, gap: 1, growth: 1.0 })
     }
 
     /// The mesh.
@@ -128,7 +142,7 @@ impl Section {
             }
         }
         let State { solution, workspace } = state;
-        let odd = workspace.saddle.factorise(&workspace.assembly, &self.sector.odd);
+        let odd = workspace.saddle.factorise(&workspace.assembly.stiffness, &self.sector.odd);
         if odd != Some(0) {
             let limit = Limit { pressure: solution.fields.globals[2], kind: LimitKind::Asymmetric };
             return Err(self.beyond(pressure, limit));

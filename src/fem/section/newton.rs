@@ -42,7 +42,7 @@ pub(super) struct Workspace {
 
 impl Workspace {
     pub(super) fn new(sector: &Sector) -> Workspace {
-        Workspace { assembly: Assembly::new(sector), saddle: Saddle::new(sector) }
+        Workspace { assembly: Assembly::new(sector), saddle: Saddle::new(sector, 3) }
     }
 
     /// The equilibrium nearest to `start`. None where there is none within Newton's reach.
@@ -57,7 +57,7 @@ impl Workspace {
                 return None;
             }
             best = best.min(norm);
-            let negative = self.saddle.factorise(&self.assembly, &sector.even)?;
+            let negative = self.saddle.factorise(&self.assembly.stiffness, &sector.even)?;
             let found = norm < tolerance;
             let (responses, hessian) = self.saddle.condense(sector, &self.assembly, found);
             if found {

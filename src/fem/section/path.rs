@@ -4,7 +4,7 @@
 //! equilibrium whose second variation is positive definite; otherwise it is halved. Where pressure steps end, the
 //! volume leads: `dP/dV` passes through zero smoothly at a limit point of the pressure.
 
-use super::error::{Limit, LimitKind, SectionError};
+use super::error::{Limit, LimitKind};
 use super::fields::Sector;
 use super::newton::{Condition, Solution, Workspace, global_step};
 

@@ -13,64 +13,76 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::assembly::{Assembly, EPSILON};
 use super::band::Band;
-use super::fields::{DOFS, Sector};
+use super::fields::{NODES, Sector};
 
 /// Passes of the iteration where the answer is wanted to round-off.
-const EXACT: usize = 3;
+pub(super) const EXACT: usize = 3;
 
-/// Positions and multipliers.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Increment {
+/// Positions and the M multipliers of every element.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Increment<const M: usize = 3> {
     pub(super) position: Vec<f64>,
-    pub(super) multiplier: Vec<[f64; 3]>,
+    pub(super) multiplier: Vec<[f64; M]>,
 }
 
-/// The factorised tangent of one symmetry class.
+/// The factorised tangent of one class of fields, with `components` unknowns a node.
 #[derive(Clone, Debug)]
 pub(super) struct Saddle {
     factor: Band,
 }
 
 impl Saddle {
-    pub(super) fn new(sector: &Sector) -> Saddle {
-        Saddle { factor: sector.band(3) }
+    pub(super) fn new(sector: &Sector, components: usize) -> Saddle {
+        Saddle { factor: sector.band(components) }
     }
 
     /// Factorises with the unknowns in `fixed` held. Number of negative pivots, None if singular.
-    pub(super) fn factorise(&mut self, assembly: &Assembly, fixed: &[bool]) -> Option<usize> {
-        self.factor.copy_fixed(&assembly.stiffness, fixed);
+    pub(super) fn factorise(&mut self, stiffness: &Band, fixed: &[bool]) -> Option<usize> {
+        self.factor.copy_fixed(stiffness, fixed);
         self.factor.factorise()
     }
 
-    /// Solves for the unknowns that are not `fixed`, in `passes` passes.
-    fn solve(
+    /// Solves for the unknowns that are not `fixed`, in `passes` passes. `gradient` is B, element by element.
+    pub(super) fn solve<const D: usize, const M: usize>(
         &self,
         sector: &Sector,
-        assembly: &Assembly,
+        gradient: &[[[f64; D]; M]],
         fixed: &[bool],
         right: &[f64],
-        constraint: impl Fn(usize) -> [f64; 3],
+        constraint: impl Fn(usize) -> [f64; M],
         passes: usize,
-    ) -> Increment {
+    ) -> Increment<M> {
         let elements = sector.points.len();
-        let mut total = Increment { position: vec![0.0; right.len()], multiplier: vec![[0.0; 3]; elements] };
-        let mut target: Vec<[f64; 3]> = (0..elements).map(constraint).collect();
+        let mut total = Increment { position: vec![0.0; right.len()], multiplier: vec![[0.0; M]; elements] };
+        let mut target: Vec<[f64; M]> = (0..elements).map(constraint).collect();
         let mut x = right.to_vec();
         for pass in 0..passes {
             if pass > 0 {
                 x.fill(0.0);
             }
-            self.scatter(sector, assembly, &target, &mut x);
+            for (index, target) in target.iter().enumerate() {
+                // B^T M^-1 g / EPSILON.
+                let scaled: [f64; M] = std::array::from_fn(|k| target[k] / (EPSILON * sector.mass[index][k % 3]));
+                let b = &gradient[index];
+                each_dof::<D>(sector, index, |local, global| {
+                    x[global] += (0..M).map(|k| b[k][local] * scaled[k]).sum::<f64>();
+                });
+            }
             for (value, _) in x.iter_mut().zip(fixed).filter(|(_, fixed)| **fixed) {
                 *value = 0.0;
             }
             self.factor.solve(&mut x);
             for (index, target) in target.iter_mut().enumerate() {
-                let gained = gather(sector, assembly, index, &x);
-                for k in 0..3 {
+                let mut gained = [0.0; M];
+                each_dof::<D>(sector, index, |local, global| {
+                    for (sum, b) in gained.iter_mut().zip(&gradient[index]) {
+                        *sum += b[local] * x[global];
+                    }
+                });
+                for k in 0..M {
                     // What the pass leaves of the constraint is EPSILON M dq.
                     let left = target[k] - gained[k];
-                    total.multiplier[index][k] -= left / (EPSILON * sector.mass[index][k]);
+                    total.multiplier[index][k] -= left / (EPSILON * sector.mass[index][k % 3]);
                     target[k] = left;
                 }
             }
@@ -81,23 +93,16 @@ impl Saddle {
         total
     }
 
-    /// Adds `B^T M^-1 g / EPSILON`.
-    fn scatter(&self, sector: &Sector, assembly: &Assembly, g: &[[f64; 3]], x: &mut [f64]) {
-        for (index, g) in g.iter().enumerate() {
-            let scaled: [f64; 3] = std::array::from_fn(|k| g[k] / (EPSILON * sector.mass[index][k]));
-            let nodes = sector.element(index / sector.rows(), index % sector.rows());
-            for local in 0..DOFS {
-                let b = &assembly.gradient[index];
-                x[3 * nodes[local / 3] + local % 3] +=
-                    b[0][local] * scaled[0] + b[1][local] * scaled[1] + b[2][local] * scaled[2];
-            }
-        }
-    }
-
     /// Response of the fields to the residual: `-K^-1 r`.
     pub(super) fn correction(&self, sector: &Sector, assembly: &Assembly) -> Increment {
-        let mut step =
-            self.solve(sector, assembly, &sector.even, &assembly.residual, |index| assembly.constraint[index], 1);
+        let mut step = self.solve(
+            sector,
+            &assembly.gradient,
+            &sector.even,
+            &assembly.residual,
+            |index| assembly.constraint[index],
+            1,
+        );
         step.scale(-1.0);
         step
     }
@@ -108,7 +113,7 @@ impl Saddle {
         let responses = [0, 1, 2].map(|k| {
             let mut column = self.solve(
                 sector,
-                assembly,
+                &assembly.gradient,
                 &sector.even,
                 &assembly.coupling[k],
                 |index| assembly.constraint_coupling[index][k],
@@ -126,16 +131,13 @@ impl Saddle {
     }
 }
 
-fn gather(sector: &Sector, assembly: &Assembly, index: usize, x: &[f64]) -> [f64; 3] {
+/// Local and global number of the D unknowns of an element.
+fn each_dof<const D: usize>(sector: &Sector, index: usize, mut visit: impl FnMut(usize, usize)) {
+    let components = D / NODES;
     let nodes = sector.element(index / sector.rows(), index % sector.rows());
-    let mut sums = [0.0; 3];
-    for local in 0..DOFS {
-        let value = x[3 * nodes[local / 3] + local % 3];
-        for (sum, b) in sums.iter_mut().zip(&assembly.gradient[index]) {
-            *sum += b[local] * value;
-        }
+    for local in 0..D {
+        visit(local, components * nodes[local / components] + local % components);
     }
-    sums
 }
 
 impl Assembly {
@@ -151,14 +153,14 @@ impl Assembly {
     }
 }
 
-impl Increment {
+impl<const M: usize> Increment<M> {
     pub(super) fn scale(&mut self, factor: f64) {
         self.position.iter_mut().for_each(|x| *x *= factor);
         self.multiplier.iter_mut().flatten().for_each(|x| *x *= factor);
     }
 
     /// Adds `factor` times `other`.
-    pub(super) fn add(&mut self, other: &Increment, factor: f64) {
+    pub(super) fn add(&mut self, other: &Increment<M>, factor: f64) {
         for (x, y) in self.position.iter_mut().zip(&other.position) {
             *x += factor * y;
         }
