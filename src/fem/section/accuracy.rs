@@ -33,9 +33,9 @@ impl Curve {
 }
 
 impl Mesh {
-    /// Every length divided into `level` parts, 1 to 32, graded to the strip's end by the same overall ratio.
+    /// Graded meshes of rising density, from 1.
     pub fn level(level: usize) -> Mesh {
-        Mesh { radial: level, strip: level, gap: 2 * level, growth: 4.0_f64.powf(1.0 / level as f64) }
+        Mesh::Graded { strip: level, growth: 4.0_f64.powf(1.0 / level as f64) }
     }
 }
 

@@ -20,10 +20,6 @@ impl Band {
         Band { width, last, values }
     }
 
-    pub(super) fn size(&self) -> usize {
-        self.last.len()
-    }
-
     pub(super) fn clear(&mut self) {
         self.values.fill(0.0);
     }
@@ -51,6 +47,7 @@ impl Band {
     }
 
     /// Product with a vector.
+    #[cfg(test)]
     pub(super) fn multiply(&self, x: &[f64], y: &mut [f64]) {
         y.fill(0.0);
         for (j, column) in self.values.chunks_exact(self.width).enumerate() {

@@ -49,7 +49,9 @@ pub enum SectionError {
     #[error(transparent)]
     Tube(#[from] TubeError),
     /// No mesh.
-    #[error("{0:?}: radial must be 1 to 32, strip and gap 1 to 64, growth 1 to 8")]
+    #[error(
+        "{0:?}: counted: radial 1 to 32, strip and gap 1 to 64, growth 1 to 8; graded: strip 1 to 16, growth 1.2 to 8"
+    )]
     Mesh(Mesh),
     /// The wanted error is out of range.
     #[error("wanted relative error {0}: must be between 1e-4 and 0.5")]

@@ -47,6 +47,8 @@ mod newton;
 mod path;
 mod phased;
 mod saddle;
+#[cfg(test)]
+mod tests;
 
 pub use accuracy::{Curve, curve_within};
 pub use bending::Bending;
@@ -87,7 +89,7 @@ impl Section {
     /// alone. Good for free motion (twist a few per cent too large), useless for blocked force; far cheaper.
     pub fn smeared(tube: &Tube, radial: usize) -> Result<Section, SectionError> {
         let share = 2.0 * PI * tube.outer_radius() / tube.fibers as f64;
-        Section::new(&Tube { fiber_width: share, ..*tube }, Mesh { radial, strip: 1, gap: 1, growth: 1.0 })
+        Section::new(&Tube { fiber_width: share, ..*tube }, Mesh::Counted { radial, strip: 1, gap: 1, growth: 1.0 })
     }
 
     /// The mesh.

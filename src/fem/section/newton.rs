@@ -9,7 +9,7 @@ use super::saddle::{Increment, Saddle};
 /// Iterations of one Newton solve; a start that needs more is too far away.
 const ITERATIONS: usize = 9;
 /// Residual at which the equilibrium counts as found, in the sector's own units.
-const TOLERANCE: f64 = 1e-11;
+const TOLERANCE: f64 = 1e-10;
 
 /// One of (stretch, twist, pressure) is held, or its conjugate (force, moment, minus the volume) is.
 #[derive(Clone, Copy, Debug, PartialEq)]
