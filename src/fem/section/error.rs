@@ -35,8 +35,8 @@ impl std::fmt::Display for LimitKind {
 /// Last pressure of a path of stable equilibria.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
-    /// Gauge pressure, Pa: an extremum for [`LimitKind::Pressure`] and [`LimitKind::Folding`]; otherwise a pressure
-    /// at which the equilibrium was seen unstable.
+    /// Gauge pressure, Pa: an extremum for [`LimitKind::Pressure`] and [`LimitKind::Folding`], otherwise where the symmetry
+    /// breaks.
     pub pressure: f64,
     /// What happens there.
     pub kind: LimitKind,

@@ -162,7 +162,7 @@ mod tests {
             Mesh::Graded { strip: 1, growth: f64::NAN },
             Mesh::Graded { strip: 17, growth: 2.0 },
         ] {
-            assert_eq!(mesh.validated(), Err(SectionError::Mesh(mesh)));
+            assert!(matches!(mesh.validated(), Err(SectionError::Mesh(_))), "{mesh:?}");
         }
     }
 }

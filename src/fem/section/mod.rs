@@ -64,6 +64,9 @@ use self::newton::{Condition, Solution, Workspace};
 use super::ends::{End, Ends, Equilibrium};
 use super::tube::Tube;
 
+/// Halvings of the pressure's interval in which a broken symmetry is found.
+const BISECTIONS: usize = 12;
+
 /// A tube and its mesh, ready to be solved.
 #[derive(Clone, Debug)]
 pub struct Section {
@@ -119,11 +122,12 @@ impl Section {
     /// held values. On an error `state` stays at the last stable equilibrium found.
     pub fn advance(&self, state: &mut State, pressure: f64, ends: Ends) -> Result<Equilibrium, SectionError> {
         let goal = self.conditions(pressure, ends)?;
+        let before = state.solution.clone();
         let State { solution, workspace } = state;
         // Where only the pressure moves, its limit can be searched by volume.
         let ends_move = (0..2).any(|k| match goal[k] {
             Condition::Held(value) => value != solution.fields.globals[k],
-            Condition::Conjugate(value) => (value - solution.conjugate[k]).abs() > 1e-9,
+            Condition::Conjugate(value) => (value - solution.conjugate[k]).abs() > 1e-7,
         });
         match path::follow(&self.sector, workspace, solution, goal, ends_move) {
             path::End::Reached => {}
@@ -143,13 +147,39 @@ impl Section {
                 }
             }
         }
-        let State { solution, workspace } = state;
-        let odd = workspace.saddle.factorise(&workspace.assembly.stiffness, &self.sector.odd);
-        if odd != Some(0) {
-            let limit = Limit { pressure: solution.fields.globals[2], kind: LimitKind::Asymmetric };
-            return Err(self.beyond(pressure, limit));
+        let Some(mut kind) = self.broken(state)? else { return Ok(self.equilibrium(state)) };
+        // Between the state before and this one the symmetry breaks: bisection finds where.
+        let mut above = pressure / self.tube.law.shear_modulus();
+        let mut stable = before;
+        for _ in 0..BISECTIONS {
+            let middle = 0.5 * (stable.fields.globals[2] + above);
+            let goal = [goal[0], goal[1], Condition::Held(middle)];
+            state.solution = stable.clone();
+            if let path::End::Stopped(_) =
+                path::follow(&self.sector, &mut state.workspace, &mut state.solution, goal, true)
+            {
+                break;
+            }
+            match self.broken(state)? {
+                None => stable = state.solution.clone(),
+                Some(found) => (kind, above) = (found, middle),
+            }
         }
-        Ok(self.equilibrium(state))
+        state.solution = stable;
+        Err(self.beyond(pressure, Limit { pressure: above, kind }))
+    }
+
+    /// How the symmetry of the equilibrium at `state`, just solved, breaks, if it does.
+    fn broken(&self, state: &mut State) -> Result<Option<LimitKind>, SectionError> {
+        let State { solution, workspace } = state;
+        if workspace.saddle.factorise(&workspace.assembly.stiffness, &self.sector.odd) != Some(0) {
+            return Ok(Some(LimitKind::Asymmetric));
+        }
+        // Inner pressure holds a tube round; outer pressure makes it collapse.
+        if solution.fields.globals[2] >= 0.0 {
+            return Ok(None);
+        }
+        Ok(self.waves(state)?.map(LimitKind::Waves))
     }
 
     /// Equilibrium at the gauge pressure `pressure`, Pa (negative allowed), reached from rest.

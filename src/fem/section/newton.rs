@@ -8,8 +8,10 @@ use super::saddle::{Increment, Saddle};
 
 /// Iterations of one Newton solve; a start that needs more is too far away.
 const ITERATIONS: usize = 9;
-/// Residual at which the equilibrium counts as found, in the sector's own units.
+/// Residual at which the equilibrium counts as found, in the sector's own units, and its part for the round-off of the
+/// fibres' stretch.
 const TOLERANCE: f64 = 1e-10;
+const FIBER_TOLERANCE: f64 = 1e-14;
 
 /// One of (stretch, twist, pressure) is held, or its conjugate (force, moment, minus the volume) is.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,7 +50,7 @@ impl Workspace {
     /// The equilibrium nearest to `start`. None where there is none within Newton's reach.
     pub(super) fn solve(&mut self, sector: &Sector, start: Fields, conditions: [Condition; 3]) -> Option<Solution> {
         let mut fields = start;
-        let tolerance = TOLERANCE * (1.0 + sector.fiber);
+        let tolerance = TOLERANCE + FIBER_TOLERANCE * sector.fiber;
         let mut best = f64::INFINITY;
         for iteration in 0..=ITERATIONS {
             self.assembly.fill(sector, &fields).ok()?;

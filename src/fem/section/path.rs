@@ -94,6 +94,20 @@ fn slope(solution: &Solution, free: [bool; 2]) -> Option<f64> {
     Some(global_step(h, &nalgebra::Vector3::zeros(), &[0.0; 3], conditions)?.z)
 }
 
+/// Whether the mode that turns unstable between two states moves some of the rubber much more than the cavity's wall: a
+/// fold at the strip's end does, the swelling of the whole tube does not. Both states' responses to pressure are
+/// regular but for that mode, which their difference leaves.
+fn local(sector: &Sector, stable: &Solution, unstable: &Solution) -> bool {
+    let mode = |node: usize| {
+        let at = |solution: &Solution, k: usize| solution.responses[2].position[3 * node + k];
+        (0..3).map(|k| (at(unstable, k) - at(stable, k)).powi(2)).sum::<f64>().sqrt()
+    };
+    let largest = (0..sector.nodes()).map(mode).fold(0.0, f64::max);
+    let lines = 2 * sector.columns() + 1;
+    let wall = (0..lines).map(|line| mode(sector.node(line, 0))).sum::<f64>() / lines as f64;
+    wall < 0.9 * largest
+}
+
 /// Follows the path of growing (or, for a goal below, falling) pressure by steps in volume from the stable
 /// `solution`, the ends as in `conditions`, until the pressure reaches its goal (None; the last state before it is
 /// left in `solution`) or its extremum.
@@ -138,7 +152,8 @@ pub(super) fn search(
         }
     }
     let mut beyond = beyond?;
-    let kind = if beyond.negative > 0 { LimitKind::Folding } else { LimitKind::Pressure };
+    let kind =
+        if beyond.negative > 0 && local(sector, solution, &beyond) { LimitKind::Folding } else { LimitKind::Pressure };
     let mut pressure = solution.fields.globals[2];
     for _ in 0..8 {
         let (a, b) = (slope(solution, free)?, slope(&beyond, free)?);
