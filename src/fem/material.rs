@@ -209,8 +209,9 @@ fn eigen(matrix: &Matrix3<f64>) -> (Vector3<f64>, Matrix3<f64>) {
                 continue;
             }
             let theta = (a[(q, q)] - a[(p, p)]) / (2.0 * apq);
-            let t = 1.0_f64.copysign(theta) / (theta.abs() + theta.hypot(1.0));
-            let c = 1.0 / t.hypot(1.0);
+            // Squares that overflow leave t = 0, which is what they should.
+            let t = 1.0_f64.copysign(theta) / (theta.abs() + (theta * theta + 1.0).sqrt());
+            let c = 1.0 / (t * t + 1.0).sqrt();
             let s = t * c;
             let r = 3 - p - q;
             let (arp, arq) = (a[(r, p)], a[(r, q)]);

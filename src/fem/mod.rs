@@ -13,4 +13,5 @@
 pub mod ends;
 pub mod linear;
 pub mod material;
+pub mod section;
 pub mod tube;
