@@ -1,9 +1,9 @@
 //! A body of elements: nodes, what holds them, rubber, fibres, frame.
 
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::Vector3;
 
 use super::cap::{COORDINATES, Coordinates, Tilt};
-use super::element::{Place, Positions, Rubber};
+use super::element::{Place, Positions, Rubber, across};
 use super::fiber::Fiber;
 use super::shapes::{NODES, PRESSURES};
 
@@ -28,8 +28,9 @@ impl Support {
 pub struct Cell {
     /// Its nodes; node `i + 3 j + 9 k` as in [`super::shapes`].
     pub nodes: [usize; NODES],
-    /// Which of them are images: turned about z by the body's `image_angle`.
-    pub images: [bool; NODES],
+    /// Phase of the frame at each, rad. One node may have different phases in two elements: then one of them sees
+    /// an image of it, turned about z by the difference (cyclic symmetry).
+    pub phases: [f64; NODES],
     /// Whether the gas presses on its face i = 0.
     pub inner: bool,
     /// Fibre on its face i = 2.
@@ -51,8 +52,6 @@ pub struct Body {
     pub rubber: Rubber,
     /// Stiffness of a fibre.
     pub fiber_ea: f64,
-    /// Turn of image nodes, rad.
-    pub image_angle: f64,
     /// Turn of the frame per length in the reference state, rad.
     pub reference_rate: f64,
     /// Length over which the cap's turn is spread: omega = reference_rate + turn / length.
@@ -106,21 +105,16 @@ impl Body {
 
     /// Reference and current positions of an element's nodes.
     pub(super) fn gather(&self, cell: &Cell, state: &State) -> (Positions, Positions) {
-        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), self.image_angle);
-        let of = |from: &[Vector3<f64>]| {
-            std::array::from_fn(|n| {
-                let at = from[cell.nodes[n]];
-                if cell.images[n] { turn * at } else { at }
-            })
-        };
+        let of = |from: &[Vector3<f64>]| std::array::from_fn(|n| from[cell.nodes[n]]);
         (of(&self.reference), of(&state.positions))
     }
 
     /// The frame of gathered positions.
-    pub(super) fn place<'a>(&self, gathered: &'a (Positions, Positions), state: &State) -> Place<'a> {
+    pub(super) fn place<'a>(&self, cell: &'a Cell, gathered: &'a (Positions, Positions), state: &State) -> Place<'a> {
         Place {
             reference: &gathered.0,
             current: &gathered.1,
+            phases: &cell.phases,
             reference_rate: self.reference_rate,
             rate: self.rate(state),
         }
@@ -134,12 +128,14 @@ impl Body {
             let (reference, _) = self.gather(cell, &rest);
             for (s, weight) in super::shapes::GAUSS {
                 let (a, da) = super::shapes::line(s);
-                let (mut y, mut slope) = (Vector3::zeros(), Vector3::zeros());
+                let (mut y, mut slope, mut turn) = (Vector3::zeros(), Vector3::zeros(), 0.0);
                 for j in 0..3 {
                     let arm = reference[18 + 3 * j] - self.cap_center;
                     y += arm * a[j];
                     slope += arm * da[j];
+                    turn += cell.phases[18 + 3 * j] * da[j];
                 }
+                slope += across(&y) * turn;
                 area += 0.5 * weight * y.cross(&slope).z;
             }
         }

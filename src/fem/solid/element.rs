@@ -1,14 +1,15 @@
 //! The mixed element: 27 nodes, four pressures of its own, in a frame that turns along z.
 //!
-//! Positions are interpolated in a frame that turns with the reference coordinate Z: `x = Rz(omega Z) y`, with the
-//! quadratic field y as unknown. In the reference state the rate is `w0` and y is Y. A straight tube under pressure
-//! has a y that does not depend on Z, however far it is twisted, and a helical element whose edges follow the fibres
-//! is a straight brick in the frame. With `omega = w0 = 0` it is the ordinary isoparametric hexahedron.
-//! Up to the rotation `Rz`, which no energy sees,
+//! Positions are interpolated in a frame that turns with the reference coordinate Z: `x = Rz(psi + omega Z) y`, with
+//! the quadratic field y as unknown. In the reference state the rate is `w0` and y is Y. A straight tube under
+//! pressure has a y that does not depend on Z, however far it is twisted; a helical element whose edges follow the
+//! fibres is a straight brick in the frame; and with the angle round the circumference as the phase psi, a circular
+//! tube is exactly circular and y are its polar components. With psi = omega = w0 = 0 it is the ordinary
+//! isoparametric hexahedron. Up to the rotation `Rz`, which no energy sees,
 //!
 //! ```text
-//!     F = (y_k + omega (e_z x y) Z_k) (Y_k + w0 (e_z x Y) Z_k)^-1        k = coordinates of the cube
-//!       = sum_a [ y_a (x) grad N_a + omega N_a (e_z x y_a) (x) grad Z ]
+//!     F = (y_k + e_z x y (psi_k + omega Z_k)) (Y_k + e_z x Y (psi_k + w0 Z_k))^-1      k = coordinates of the cube
+//!       = sum_a [ y_a (x) grad N_a + N_a (e_z x y_a) (x) (grad psi + omega grad Z) ]
 //!     Pi = int Psi(F) + p (det F - 1) - p^2 / (2 kappa) dV
 //! ```
 //!
@@ -98,6 +99,8 @@ pub struct Place<'a> {
     pub reference: &'a Positions,
     /// y of the nodes.
     pub current: &'a Positions,
+    /// Phase of the frame at the nodes, rad: a turn of its own that varies round the circumference.
+    pub phases: &'a [f64; NODES],
     /// Rate of turn of the frame in the reference state, per length.
     pub reference_rate: f64,
     /// Rate of turn of the frame, omega.
@@ -157,23 +160,26 @@ impl Kernel {
         out.reset();
         for g in 0..POINTS {
             let shape = &self.shapes[g];
-            let (mut base, mut here) = (Matrix3::zeros(), Vector3::zeros());
+            let (mut base, mut here, mut turn) = (Matrix3::zeros(), Vector3::zeros(), Vector3::zeros());
             for (n, y) in place.reference.iter().enumerate() {
                 here += y * shape.value[n];
                 for k in 0..3 {
+                    turn[k] += place.phases[n] * shape.slope[n][k];
                     for i in 0..3 {
                         base[(i, k)] += y[i] * shape.slope[n][k];
                     }
                 }
             }
             let rise = base.row(2).transpose();
-            base += across(&here) * rise.transpose() * place.reference_rate;
+            base += across(&here) * (rise * place.reference_rate + turn).transpose();
             let determinant = base.determinant();
             let Some(inverse) = base.try_inverse().filter(|_| determinant > 0.0) else {
                 return Err(MaterialError::Inverted(determinant));
             };
             let dv = determinant * shape.weight;
             let rise = inverse.transpose() * rise;
+            // Gradient of the frame's whole turn.
+            let turn = inverse.transpose() * turn + rise * place.rate;
             let (mut f, mut y) = (Matrix3::zeros(), Vector3::zeros());
             let mut gradient = [[0.0; 4]; NODES];
             for n in 0..NODES {
@@ -191,16 +197,16 @@ impl Kernel {
                     }
                 }
             }
+            f += across(&y) * turn.transpose();
             let by_rate = across(&y) * rise.transpose();
-            f += by_rate * place.rate;
             let response = rubber.law.respond(&f)?;
             let (ratio, cofactor) = rubber.law.volume(&f);
             let p: f64 = pressure.iter().zip(&shape.pressure).map(|(p, phi)| p * phi).sum();
             let stress = response.stress + cofactor * p;
             out.energy += dv * (response.energy + p * (ratio - 1.0) - 0.5 * p * p * rubber.compressibility);
 
-            let stress4 = extend(&(stress * dv), &rise, place.rate);
-            let cofactor4 = extend(&(cofactor * dv), &rise, place.rate);
+            let stress4 = extend(&(stress * dv), &turn);
+            let cofactor4 = extend(&(cofactor * dv), &turn);
             for n in 0..NODES {
                 for i in 0..3 {
                     let dot = |v: &[[f64; 4]; 3]| -> f64 {
@@ -235,7 +241,7 @@ impl Kernel {
             let pull = modulus * flat;
             out.matrix[SIZE * SIZE - 1] += pull.dot(&flat);
             let pull = Matrix3::from_fn(|i, j| pull[3 * i + j]);
-            let mut pull4 = extend(&pull, &rise, place.rate);
+            let mut pull4 = extend(&pull, &turn);
             let extra = across_back(&(stress * rise * dv));
             for i in 0..3 {
                 pull4[i][3] += extra[i];
@@ -248,7 +254,7 @@ impl Kernel {
                 }
             }
             // The modulus on (gradients, value): 12 by 12, as blocks [i][k] of [n][m].
-            let blocks = modulus12(&modulus, &rise, place.rate);
+            let blocks = modulus12(&modulus, &turn);
             for (n, gradient) in gradient.iter().enumerate() {
                 self.gradients[STACK * n + 4 * g..][..4].copy_from_slice(gradient);
                 for i in 0..3 {
@@ -293,25 +299,25 @@ impl Kernel {
 }
 
 /// What multiplies (gradient, value) of a shape function when `stress` multiplies F: columns J, and the value.
-fn extend(stress: &Matrix3<f64>, rise: &Vector3<f64>, rate: f64) -> [[f64; 4]; 3] {
-    let turned = across_back(&(stress * rise)) * rate;
+fn extend(stress: &Matrix3<f64>, turn: &Vector3<f64>) -> [[f64; 4]; 3] {
+    let turned = across_back(&(stress * turn));
     std::array::from_fn(|i| [stress[(i, 0)], stress[(i, 1)], stress[(i, 2)], turned[i]])
 }
 
 /// The same for the tangent, on both sides: `[i][k][q][m]` multiplies component q of the column's function (k) and
 /// component m of the row's (i).
-fn modulus12(modulus: &SMatrix<f64, 9, 9>, rise: &Vector3<f64>, rate: f64) -> [[[[f64; 4]; 4]; 3]; 3] {
+fn modulus12(modulus: &SMatrix<f64, 9, 9>, turn: &Vector3<f64>) -> [[[[f64; 4]; 4]; 3]; 3] {
     // Columns first: 9 by (k, q).
     let mut half = [[[0.0; 4]; 3]; 9];
     for (row, half) in half.iter_mut().enumerate() {
         let of_row = Matrix3::from_fn(|k, l| modulus[(row, 3 * k + l)]);
-        *half = extend(&of_row, rise, rate);
+        *half = extend(&of_row, turn);
     }
     let mut blocks = [[[[0.0; 4]; 4]; 3]; 3];
     for k in 0..3 {
         for q in 0..4 {
             let of_column = Matrix3::from_fn(|i, j| half[3 * i + j][k][q]);
-            let full = extend(&of_column, rise, rate);
+            let full = extend(&of_column, turn);
             for i in 0..3 {
                 blocks[i][k][q] = full[i];
             }

@@ -1,7 +1,7 @@
 //! Fibres on the outer face of an element, along its third coordinate.
 //!
 //! A line is a truss on the edge j = 0; a strip spreads the same stiffness over the face. With the tangent
-//! `g = y_t + omega Z_t e_z x y` and its length at rest g0, the stretch of each thread is |g| / g0, and
+//! `g = y_t + (psi_t + omega Z_t) e_z x y` and its length at rest g0, the stretch of each thread is |g| / g0, and
 //! `Pi = EA/2 int (|g|/g0 - 1)^2 g0 dt`, in tension and compression alike.
 
 use nalgebra::{Matrix3, Vector3};
@@ -44,16 +44,19 @@ fn thread(place: &Place, s: f64, ea: f64, tangent: bool, out: &mut Contribution)
         });
         let (mut y, mut g, mut rest, mut rest_y) =
             (Vector3::zeros(), Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
+        let mut phase = 0.0;
         for &(n, value, dt) in &shapes {
             y += place.current[n] * value;
             g += place.current[n] * dt;
             rest_y += place.reference[n] * value;
             rest += place.reference[n] * dt;
+            phase += place.phases[n] * dt;
         }
         let rise = rest.z;
-        rest += across(&rest_y) * (place.reference_rate * rise);
+        rest += across(&rest_y) * (phase + place.reference_rate * rise);
+        let turned = phase + place.rate * rise;
+        g += across(&y) * turned;
         let turn = across(&y) * rise;
-        g += turn * place.rate;
         let (length, rest) = (g.norm(), rest.norm());
         let (direction, strain) = (g / length, length / rest - 1.0);
         let ea = ea * wt;
@@ -61,7 +64,7 @@ fn thread(place: &Place, s: f64, ea: f64, tangent: bool, out: &mut Contribution)
         let q = direction * (ea * strain);
         let by_rate = across_back(&q) * rise;
         for &(n, value, dt) in &shapes {
-            let force = q * dt + by_rate * (place.rate * value);
+            let force = q * dt + across_back(&q) * (turned * value);
             for i in 0..3 {
                 out.force[3 * n + i] += force[i];
             }
@@ -78,7 +81,7 @@ fn thread(place: &Place, s: f64, ea: f64, tangent: bool, out: &mut Contribution)
             for i in 0..3 {
                 let mut unit = Vector3::zeros();
                 unit[i] = 1.0;
-                columns[3 * c + i] = unit * dt + across(&unit) * (value * place.rate * rise);
+                columns[3 * c + i] = unit * dt + across(&unit) * (value * turned);
                 rows[3 * c + i] = 3 * n + i;
             }
         }

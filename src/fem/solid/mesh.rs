@@ -2,8 +2,8 @@
 //!
 //! Through the wall, round the circumference and along the tube a mesh is a product of three divisions, and its
 //! edges along the tube are helices of the fibres' pitch. A sector, one fibre's share of the circumference, has
-//! cyclic symmetry: the nodes of its last face are images of those of its first. It is meshed in the frame that
-//! turns with the fibres, where it is straight. Bending needs the whole circumference, and a rigid motion sideways
+//! cyclic symmetry: the nodes of its last face are those of its first. It is meshed in a frame that turns with
+//! the fibres and round the circumference, where it is a brick. Bending needs the whole circumference, and a rigid motion sideways
 //! should be exact, so the whole is meshed in space, with elements so short that they turn by less than half a radian.
 
 use std::f64::consts::TAU;
@@ -228,7 +228,8 @@ pub(super) fn tube(tube: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> 
             _ => Support::FREE,
         };
         for &angle in &angles {
-            let angle = if mesh.part == Part::Whole { angle + pitch * z } else { angle };
+            // A sector's positions are polar components, its angles phases; the whole tube is in space.
+            let angle = if mesh.part == Part::Whole { angle + pitch * z } else { 0.0 };
             for &r in &radii {
                 reference.push(Vector3::new(r * angle.cos(), r * angle.sin(), z));
                 supports.push(support);
@@ -239,15 +240,17 @@ pub(super) fn tube(tube: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> 
     for k in 0..along.len() {
         for (j, &fiber) in fibers.iter().enumerate() {
             for i in 0..wall.len() {
-                let (mut nodes, mut images) = ([0; NODES], [false; NODES]);
+                let (mut nodes, mut phases) = ([0; NODES], [0.0; NODES]);
                 for n in 0..NODES {
                     let (a, b, c) = (2 * i + n % 3, 2 * j + n / 3 % 3, 2 * k + n / 9);
-                    images[n] = mesh.part == Part::Sector && b == n_around;
+                    if mesh.part == Part::Sector {
+                        phases[n] = if b == n_around { start + share } else { angles[b] };
+                    }
                     nodes[n] = index(a, b % n_around, c);
                 }
                 cells.push(Cell {
                     nodes,
-                    images,
+                    phases,
                     inner: i == 0,
                     fiber: if i + 1 == wall.len() { fiber } else { Fiber::None },
                     center: [i as f64, j as f64, k as f64],
@@ -272,11 +275,14 @@ pub(super) fn tube(tube: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> 
         cells,
         rubber: Rubber { law: tube.law.with_shear_modulus(1.0), compressibility: bulk.map_or(0.0, f64::recip) },
         fiber_ea: tube.fiber_ea / (mu * unit * unit),
-        image_angle: share,
         reference_rate: if mesh.part == Part::Whole { 0.0 } else { pitch },
         length,
         cap_center: Vector3::new(0.0, 0.0, length),
     };
     let copies = if mesh.part == Part::Whole { 1.0 } else { tube.fibers as f64 };
     Ok(Meshed { body, planes, outer, copies })
+}
+/// The body alone.
+pub fn tube_body(t: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> Result<Body, MeshError> {
+    Ok(tube(t, length, mesh, bulk)?.body)
 }

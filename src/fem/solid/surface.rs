@@ -1,7 +1,7 @@
 //! The pressure on the inner face of an element, through the volume that it encloses.
 //!
 //! The cavity's volume is `1/3 int x . n da` over its boundary. The inner face (i = 0) of an element contributes
-//! `V = 1/3 int y . (g_s x g_t) ds dt` with the tangents `g_s = y_s + omega Z_s e_z x y` of the turning frame. The
+//! `V = 1/3 int y . (g_s x g_t) ds dt` with the tangents `g_s = y_s + (psi_s + omega Z_s) e_z x y` of the turning frame. The
 //! energy of the gas is -P V, so load and tangent are exact derivatives, hence symmetric; the base lies in the plane
 //! z = 0 and contributes nothing.
 
@@ -32,7 +32,7 @@ pub fn add(place: &Place, pressure: f64, tangent: bool, out: &mut Contribution) 
                 (node(j, k), a[j] * b[k], da[j] * b[k], a[j] * db[k])
             });
             let (mut y, mut gs, mut gt) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
-            let (mut zs, mut zt) = (0.0, 0.0);
+            let (mut zs, mut zt, mut turn_s, mut turn_t) = (0.0, 0.0, 0.0, 0.0);
             for &(n, value, ds, dt) in &shapes {
                 let at = place.current[n];
                 y += at * value;
@@ -40,15 +40,19 @@ pub fn add(place: &Place, pressure: f64, tangent: bool, out: &mut Contribution) 
                 gt += at * dt;
                 zs += place.reference[n].z * ds;
                 zt += place.reference[n].z * dt;
+                turn_s += place.phases[n] * ds;
+                turn_t += place.phases[n] * dt;
             }
             let turn = across(&y);
-            gs += turn * (place.rate * zs);
-            gt += turn * (place.rate * zt);
+            turn_s += place.rate * zs;
+            turn_t += place.rate * zt;
+            gs += turn * turn_s;
+            gt += turn * turn_t;
             // Derivatives by y, g_s, g_t.
             let (of_y, of_s, of_t) = (gs.cross(&gt), gt.cross(&y), y.cross(&gs));
             out.volume += weight * y.dot(&of_y);
             let by_rate = (of_s * zs + of_t * zt) * weight;
-            let at_value = of_y * weight + across_back(&by_rate) * place.rate;
+            let at_value = (of_y + across_back(&(of_s * turn_s + of_t * turn_t))) * weight;
             for &(n, value, ds, dt) in &shapes {
                 let force = at_value * value + (of_s * ds + of_t * dt) * weight;
                 for i in 0..3 {
@@ -68,11 +72,11 @@ pub fn add(place: &Place, pressure: f64, tangent: bool, out: &mut Contribution) 
             let column = |value: f64, ds: f64, dt: f64, i: usize| -> SVector<f64, 9> {
                 let mut unit = Vector3::zeros();
                 unit[i] = 1.0;
-                let turned = across(&unit) * (value * place.rate);
+                let turned = across(&unit) * value;
                 let mut column = SVector::<f64, 9>::zeros();
                 column.fixed_rows_mut::<3>(0).copy_from(&(unit * value));
-                column.fixed_rows_mut::<3>(3).copy_from(&(unit * ds + turned * zs));
-                column.fixed_rows_mut::<3>(6).copy_from(&(unit * dt + turned * zt));
+                column.fixed_rows_mut::<3>(3).copy_from(&(unit * ds + turned * turn_s));
+                column.fixed_rows_mut::<3>(6).copy_from(&(unit * dt + turned * turn_t));
                 column
             };
             let mut columns = [SVector::<f64, 9>::zeros(); 28];

@@ -226,9 +226,9 @@ impl System {
         let tilt = Tilt::of(&state.cap);
         for index in 0..self.body.cells.len() {
             let gathered = self.body.gather(&self.body.cells[index], state);
-            let place = self.body.place(&gathered, state);
-            let out = &mut self.contribution;
             let cell = &self.body.cells[index];
+            let place = self.body.place(cell, &gathered, state);
+            let out = &mut self.contribution;
             self.kernel
                 .solid(&place, &state.pressures[index], &self.body.rubber, tangent, out)
                 .map_err(|source| SystemError::Material { cell: index, source })?;
@@ -236,7 +236,6 @@ impl System {
                 surface::add(&place, state.gas, tangent, out);
             }
             fiber::add(&place, cell.fiber, self.body.fiber_ea, tangent, out);
-            turn_back(cell, self.body.image_angle, tangent, out);
             self.energy += out.energy;
             self.volume += out.volume;
             let volume = out.mass[(0, 0)].abs();
@@ -414,12 +413,20 @@ impl System {
     pub fn factorize(&mut self) -> Result<(), SystemError> {
         let size = self.matrix.size();
         let sparse = self.matrix.factorize()?;
-        let (right, border) = self.solved.split_at_mut(size);
-        right.copy_from_slice(&self.right);
-        border.copy_from_slice(&self.border);
-        self.matrix.solve(&mut self.solved);
-        let schur = self.schur().symmetric_eigenvalues();
-        self.negative = sparse + schur.iter().filter(|&&e| e < 0.0).count();
+        // Columns of held coordinates are not needed: the others move together, and are spread again.
+        let needed: Vec<usize> = self.active().into_iter().chain([GAS]).collect();
+        self.solved[..size].copy_from_slice(&self.right);
+        for (at, &q) in needed.iter().enumerate() {
+            self.solved[(at + 1) * size..][..size].copy_from_slice(&self.border[q * size..][..size]);
+        }
+        self.matrix.solve(&mut self.solved[..(needed.len() + 1) * size]);
+        for (at, &q) in needed.iter().enumerate().rev() {
+            self.solved.copy_within((at + 1) * size..(at + 2) * size, (q + 1) * size);
+        }
+        self.negative = sparse;
+        if needed.len() > 1 {
+            self.negative += self.schur().symmetric_eigenvalues().iter().filter(|&&e| e < 0.0).count();
+        }
         Ok(())
     }
 
@@ -580,29 +587,4 @@ impl System {
 fn carried(body: &Body, cell: &Cell, tilt: &Tilt) -> Vec<(usize, SMatrix<f64, 3, COORDINATES>)> {
     let on_cap = |n: &usize| body.supports[cell.nodes[*n]] == Support::Cap;
     (0..NODES).filter(on_cap).map(|n| (n, tilt.slope(&(body.reference[cell.nodes[n]] - body.cap_center)))).collect()
-}
-
-/// Turns what belongs to image nodes back to the nodes themselves.
-fn turn_back(cell: &Cell, angle: f64, tangent: bool, out: &mut Contribution) {
-    let (sine, cosine) = angle.sin_cos();
-    for n in (0..NODES).filter(|&n| cell.images[n]) {
-        let back = |v: &mut [f64]| {
-            let (a, b) = (v[3 * n], v[3 * n + 1]);
-            v[3 * n] = cosine * a + sine * b;
-            v[3 * n + 1] = cosine * b - sine * a;
-        };
-        back(&mut out.force);
-        back(&mut out.volume_slope);
-        out.constraint.iter_mut().for_each(|row| back(row));
-        if !tangent {
-            continue;
-        }
-        for column in out.matrix.chunks_exact_mut(SIZE) {
-            back(column);
-        }
-        let (left, right) = out.matrix.split_at_mut(SIZE * (3 * n + 1));
-        for (a, b) in left[SIZE * 3 * n..].iter_mut().zip(&mut right[..SIZE]) {
-            (*a, *b) = (cosine * *a + sine * *b, cosine * *b - sine * *a);
-        }
-    }
 }
