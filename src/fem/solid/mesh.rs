@@ -273,7 +273,7 @@ pub(super) fn tube(tube: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> 
         reference,
         supports,
         cells,
-        rubber: Rubber { law: tube.law.with_shear_modulus(1.0), compressibility: bulk.map_or(0.0, f64::recip) },
+        rubber: Rubber::new(tube.law.with_shear_modulus(1.0), bulk),
         fiber_ea: tube.fiber_ea / (mu * unit * unit),
         reference_rate: if mesh.part == Part::Whole { 0.0 } else { pitch },
         length,
