@@ -14,9 +14,9 @@ use crate::fem::tube::{Tube, TubeError};
 /// Newton iterations of one step.
 const ITERATIONS: usize = 12;
 /// Smallest part of a step that is tried.
-const SMALLEST: f64 = 1.0 / 1024.0;
-/// Largest step, in units of the shear modulus: about 1 psi for the reference FREE.
-const LARGEST_STEP: f64 = 0.018;
+const SMALLEST: f64 = 1.0 / 64.0;
+/// Largest step in pressure that is tried, in units of the shear modulus: about 4 psi for the reference FREE.
+const LARGEST_STEP: f64 = 0.072;
 
 /// What a solid refuses, or cannot do.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
