@@ -5,6 +5,7 @@
 //! | module | what it is | exact for |
 //! | --- | --- | --- |
 //! | [`linear`] | closed form, fibres smeared | small pressure |
+//! | [`solid`] | finite tube with its ends, mixed hexahedra | any finite strain; end effects, bending, buckling |
 //!
 //! All answer in the same terms: a [`tube::Tube`], its [`ends::Ends`], an [`ends::Equilibrium`]. Signs: z from base to
 //! tip, twist and moment right-handed about z, `force` and `moment` are what the closed tube does to its distal
@@ -14,4 +15,6 @@ pub mod ends;
 pub mod linear;
 pub mod material;
 pub mod section;
+pub mod solid;
+pub mod sparse;
 pub mod tube;

@@ -1,0 +1,138 @@
+//! Hard cases of the solid, each with its outcome: nearly and exactly incompressible rubber, extreme angles and
+//! walls, both hands, suction, closed cycles, finite bending.
+
+use freerig::fem::ends::{End, Ends};
+use freerig::fem::solid::{Mesh, PathEnd, Solid, SolidEquilibrium, Tip};
+use freerig::fem::tube::Tube;
+use freerig::units::PASCAL_PER_PSI;
+
+const LENGTH: f64 = 0.05;
+
+fn line(degrees: f64) -> Tube {
+    Tube { fiber_width: 0.0, ..Tube::reference(degrees.to_radians()) }
+}
+
+fn coarse(tube: &Tube) -> Mesh {
+    Mesh { wall: 1, around: 3, first: 1e-3, along_growth: 2.5, ..Mesh::sector(tube) }
+}
+
+fn solve(tube: &Tube, ends: Ends, psi: f64, bulk: Option<f64>) -> SolidEquilibrium {
+    let mut solid = Solid::new(tube, LENGTH, &coarse(tube), bulk).unwrap();
+    let path = solid.follow(&Tip::straight(ends), &[psi * PASCAL_PER_PSI]).unwrap();
+    assert_eq!(path.end, PathEnd::Reached);
+    path.states.into_iter().next().unwrap()
+}
+
+#[test]
+fn the_bulk_modulus_tends_to_the_incompressible_rubber() {
+    let tube = line(40.0);
+    let exact = solve(&tube, Ends::FREE, 4.0, None);
+    let error = |bulk: f64| {
+        let state = solve(&tube, Ends::FREE, 4.0, Some(bulk));
+        assert!(state.stable());
+        (state.rotation / exact.rotation - 1.0).abs()
+    };
+    // First order in mu / kappa, down to the solver's tolerance.
+    let errors = [1e3, 1e4, 1e5, 1e6].map(error);
+    assert!(errors[0] < 5e-3, "{errors:?}");
+    for pair in errors.windows(2) {
+        assert!((8.0..12.0).contains(&(pair[0] / pair[1])), "{errors:?}");
+    }
+}
+
+#[test]
+fn extreme_angles_are_solved() {
+    // (deg, psi): nearly axial fibres, and nearly hoops, free and blocked. The section law's sign of the rotation
+    // holds, and the energy is at a minimum.
+    for (degrees, psi) in [(0.5, 1.0), (5.0, 2.0), (85.0, 5.0), (89.5, 5.0)] {
+        let tube = line(degrees);
+        let free = solve(&tube, Ends::FREE, psi, None);
+        assert!(free.stable() && free.rotation < 0.0, "{degrees}: {free:?}");
+        assert!((free.stretch > 1.0) == (degrees > 54.74), "{degrees}: {}", free.stretch);
+        let blocked = solve(&tube, Ends::BLOCKED, psi, None);
+        assert!(blocked.stable() && (blocked.force > 0.0) == (degrees > 54.74), "{degrees}: {}", blocked.force);
+    }
+}
+
+#[test]
+fn thin_and_thick_walls_are_solved() {
+    for (wall, psi) in [(0.01, 0.05), (0.9, 20.0)] {
+        let tube = Tube { wall: wall * 4.76e-3, ..line(40.0) };
+        let free = solve(&tube, Ends::FREE, psi, None);
+        assert!(free.stable() && free.rotation < -0.05, "{wall}: {free:?}");
+    }
+}
+
+#[test]
+fn a_mirrored_tube_turns_the_other_way() {
+    let (right, left) = (solve(&line(40.0), Ends::FREE, 6.0, None), solve(&line(-40.0), Ends::FREE, 6.0, None));
+    assert!((right.rotation + left.rotation).abs() < 1e-8 * right.rotation.abs());
+    assert!((right.stretch - left.stretch).abs() < 1e-9);
+    let (right, left) = (solve(&line(40.0), Ends::BLOCKED, 6.0, None), solve(&line(-40.0), Ends::BLOCKED, 6.0, None));
+    assert!((right.force / left.force - 1.0).abs() < 1e-8 && (right.moment / left.moment + 1.0).abs() < 1e-8);
+}
+
+#[test]
+fn suction_turns_the_other_way() {
+    let (up, down) = (solve(&line(40.0), Ends::FREE, 0.5, None), solve(&line(40.0), Ends::FREE, -0.5, None));
+    assert!(up.rotation < 0.0 && down.rotation > 0.0 && down.stretch > 1.0);
+    // The odd part dominates at small pressure.
+    assert!((up.rotation + down.rotation).abs() < 0.2 * up.rotation.abs());
+}
+
+#[test]
+fn a_closed_cycle_does_no_work() {
+    let tube = line(40.0);
+    let mut solid = Solid::new(&tube, LENGTH, &coarse(&tube), None).unwrap();
+    let psi: Vec<f64> = [2.0, 4.0, 6.0, 4.0, 2.0, -1.0, 0.0].map(|p| p * PASCAL_PER_PSI).to_vec();
+    let path = solid.follow(&Tip::straight(Ends::FREE), &psi).unwrap();
+    let (up, down) = (&path.states[1], &path.states[3]);
+    assert!((up.volume - down.volume).abs() < 1e-9 * up.volume && (up.rotation - down.rotation).abs() < 1e-7);
+    let rest = path.states.last().unwrap();
+    assert!(rest.rotation.abs() < 1e-7 && (rest.stretch - 1.0).abs() < 1e-8);
+    let largest =
+        solid.state().positions.iter().zip(&solid_rest(&tube)).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+    assert!(largest < 1e-7, "{largest}");
+}
+
+fn solid_rest(tube: &Tube) -> Vec<nalgebra::Vector3<f64>> {
+    Solid::new(tube, LENGTH, &coarse(tube), None).unwrap().state().positions.clone()
+}
+
+#[test]
+fn the_work_of_the_gas_is_what_the_support_gets_back() {
+    // dPi/dP = -V along equilibria and F = -dPi/dz: dF/dP (held) = dV/dz. Central differences of 0.5 psi and 1e-3.
+    let tube = line(50.0);
+    let held =
+        |stretch: f64, psi: f64| solve(&tube, Ends { axial: End::Held(stretch), torsion: End::Held(0.0) }, psi, None);
+    let force = (held(1.02, 3.5).force - held(1.02, 2.5).force) / PASCAL_PER_PSI;
+    let volume = (held(1.021, 3.0).volume - held(1.019, 3.0).volume) / (0.002 * LENGTH);
+    assert!((force / volume - 1.0).abs() < 1e-3, "{force} {volume}");
+}
+
+#[test]
+fn a_pulled_and_turned_tip_answers_with_its_load() {
+    let ends = Ends { axial: End::Loaded(0.5), torsion: End::Loaded(-1e-3) };
+    let state = solve(&line(40.0), ends, 2.0, None);
+    assert!((state.force + 0.5).abs() < 1e-6 && (state.moment - 1e-3).abs() < 1e-9, "{state:?}");
+    // Holding the tip there takes the same load.
+    let held = Ends { axial: End::Held(state.stretch), torsion: End::Held(state.rotation / LENGTH) };
+    let again = solve(&line(40.0), held, 2.0, None);
+    assert!((again.force + 0.5).abs() < 1e-5 && (again.moment - 1e-3).abs() < 1e-7, "{again:?}");
+}
+
+#[test]
+fn a_whole_tube_bends_far_to_any_side_alike() {
+    // A bare tube, bent by a moment to about a quarter turn: the same about x and about y.
+    let tube = Tube { fiber_ea: 0.0, fibers: 4, ..line(20.0) };
+    let mesh = Mesh { around: 2, first: 4e-3, along_growth: 1.5, ..Mesh::whole(&tube) };
+    let mut solid = Solid::new(&tube, LENGTH, &mesh, None).unwrap();
+    let mut bend = |x: f64, y: f64| {
+        let tip = Tip { tilt: [End::Loaded(x), End::Loaded(y)], ..Tip::FREE };
+        let path = solid.follow(&tip, &[0.0]).unwrap();
+        path.states.into_iter().next().unwrap()
+    };
+    let (a, b) = (bend(0.0, 5e-3), bend(5e-3, 0.0));
+    assert!(a.tilt[1] > 0.5 && a.lateral[0] > 0.0 && b.lateral[1] < 0.0, "{:?} {:?}", a.tilt, a.lateral);
+    assert!((a.tilt[1] - b.tilt[0]).abs() < 1e-6 && (a.lateral[0] + b.lateral[1]).abs() < 1e-8);
+}
