@@ -5,6 +5,7 @@
 //! | module | what it is | exact for |
 //! | --- | --- | --- |
 //! | [`linear`] | closed form, fibres smeared | small pressure |
+//! | [`rod`], [`module`] | geometrically exact rods under a rigid plate | any bend, payload, buckling |
 //!
 //! All answer in the same terms: a [`tube::Tube`], its [`ends::Ends`], an [`ends::Equilibrium`]. Signs: z from base to
 //! tip, twist and moment right-handed about z, `force` and `moment` are what the closed tube does to its distal
@@ -13,4 +14,6 @@
 pub mod ends;
 pub mod linear;
 pub mod material;
+pub mod module;
+pub mod rod;
 pub mod tube;
