@@ -70,3 +70,51 @@ fn r2_look() {
             println!("{degree} {steps} {:.3e} it {} neg {} {:?} est {:?} {:?}", e, s.iterations(), s.negative_pivots(), t.elapsed()/100, m.discretisation_error(&s), s.rotation());
     }
 }
+#[test]
+fn speed_look() {
+    let best = |f: &dyn Fn() -> usize| {
+        let mut best = f64::INFINITY;
+        let mut it = 0;
+        for _ in 0..4000 {
+            let t = std::time::Instant::now();
+            it = std::hint::black_box(f());
+            best = best.min(t.elapsed().as_secs_f64());
+        }
+        (best * 1e6, it)
+    };
+    for (degree, steps) in [(1, 2), (2, 2), (2, 3), (3, 4), (5, 8)] {
+        let (m, l) = (single(Resolution { degree, steps }), r1());
+        let (f, l2) = (four(Resolution { degree, steps }), r2(-0.2));
+        println!("{degree} {steps} R1 {:?} us R2 {:?} us", best(&|| m.equilibrium(&l).unwrap().iterations()), best(&|| f.equilibrium(&l2).unwrap().iterations()));
+        let s = f.equilibrium(&l2).unwrap();
+        let l3 = r2(-0.201);
+        println!("   warm {:?}", best(&|| f.equilibrium_from(&s, &l3).unwrap().iterations()));
+    }
+}
+#[test]
+fn r3_look() {
+    use freerig::fem::module::Path;
+    for (degree, steps) in [(3, 4), (5, 8), (7, 16), (9, 32)] {
+        let m = four(Resolution { degree, steps });
+        let start = m.equilibrium(&r2(0.0)).unwrap();
+        let t = std::time::Instant::now();
+        let mut path = Path::new(&m, &start, &r2(-1.0), 0.2).unwrap();
+        for _ in 0..6 {
+            match path.next_critical((-0.1, 4.0)) {
+                Ok(Some(c)) => println!("{degree} {steps} mu {:.6} {:?} gained {} at {:.3?} modes {}", c.mu, c.kind, c.gained, c.point.state.position() / MM, c.modes.len()),
+                Ok(None) => { println!("end {} {:?}", path.point().mu, path.point().state.position() / MM); break }
+                Err(e) => { println!("{e} at {}", path.point().mu); break }
+            }
+        }
+        println!("{:?}", t.elapsed());
+        for fz in [-0.3] {
+            let s = m.equilibrium(&r2(fz)).unwrap();
+            println!("{:.3?}", s.position() / MM);
+        }
+        println!("{:?}", m.equilibrium(&r2(-0.45)).unwrap_err().to_string());
+        for fz in [-0.5135, -3.0] {
+            match m.equilibrium_from(&path.point().state, &r2(fz)) {
+            Ok(s) => println!("{fz} {:.4?} neg {}", s.position() / MM, s.negative_pivots()), Err(e) => println!("{e}") }
+        }
+    }
+}

@@ -23,11 +23,13 @@
 
 mod clearance;
 mod newton;
+mod path;
 mod state;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
+pub use path::{Critical, Kind, Path, Point};
 pub use state::{State, Wrench};
 
 use super::rod::{Basis, DualMatrix, Resolution, Rod, RodError};

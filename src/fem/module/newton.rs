@@ -1,11 +1,11 @@
 //! Newton's method for the whole module, one 6 x 6 system at a time, and load stepping about it.
 
-use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector6};
 
 use super::state::Unknowns;
 use super::{Loads, Module, ModuleError, State};
 use crate::fem::rod::{
-    Assembly, Condensed, DualMatrix, DualVector, Exponential, Resolution, RodError, blocks, half_bracket, moment_force,
+    Assembly, Condensed, DualMatrix, DualVector, Exponential, RodError, blocks, half_bracket, moment_force,
     skew, small_twist, twist, vector6, wrench,
 };
 
@@ -21,7 +21,7 @@ const LONGEST: f64 = 6.0;
 /// A way is cut down to this share before it counts as ended.
 const SHORTEST: f64 = 1.0 / 4096.0;
 
-/// The equations linearised at some unknowns: `stiffness eta = residual + by_load dmu`.
+/// The equations linearised at some unknowns: `stiffness eta = residual`.
 pub(super) struct Linear {
     pub stiffness: Matrix6<f64>,
     pub residual: Vector6<f64>,
@@ -82,6 +82,26 @@ impl<'a> Solver<'a> {
             gaps: vec![Vector6::zeros(); n],
             step: Vec::new(),
         }
+    }
+
+    pub fn module(&self) -> &'a Module {
+        self.module
+    }
+
+    /// The rods as last linearised.
+    pub fn assemblies(&self) -> &[Assembly] {
+        &self.assemblies
+    }
+
+    /// The change of the residual by mu when the loads go from `from` (0) to `to` (1), after [`Solver::linearise`].
+    pub fn by_load(&self, at: &Unknowns, from: &Loads, to: &Loads) -> Vector6<f64> {
+        let force = to.force - from.force + (to.gravity - from.gravity) * self.module.plate_mass;
+        let moment = to.moment - from.moment + at.plate.position().cross(&force);
+        let mut sum = moment_force(&DualVector { re: force, du: moment });
+        for (condensed, (a, b)) in self.condensed.iter().zip(from.pressures.iter().zip(&to.pressures)) {
+            sum -= condensed.wrench_by_pressure() * (b - a);
+        }
+        sum
     }
 
     /// From the equilibrium `unknowns` under `from` to that under `to`.

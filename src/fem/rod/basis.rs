@@ -35,6 +35,8 @@ pub(crate) struct Basis {
     pub steps: usize,
     /// By Gauss point, then mode.
     values: Vec<f64>,
+    /// The same at the ends of the steps.
+    nodes: Vec<f64>,
     /// Length's mean of the products of two modes by the same quadrature, modes x modes.
     pub mass: Vec<f64>,
 }
@@ -56,17 +58,23 @@ impl Basis {
                 }
             }
         }
-        Basis { modes, steps, values, mass }
+        let nodes = (0..=steps).flat_map(|k| legendre(k as f64 / steps as f64, modes)).collect();
+        Basis { modes, steps, values, nodes, mass }
     }
 
     /// The modes at Gauss point `point` of 2 x steps.
     pub fn at(&self, point: usize) -> &[f64] {
         &self.values[point * self.modes..(point + 1) * self.modes]
     }
+
+    /// The modes at the end `node` of a step, 0 to the number of steps.
+    pub fn at_node(&self, node: usize) -> &[f64] {
+        &self.nodes[node * self.modes..(node + 1) * self.modes]
+    }
 }
 
 /// The Legendre polynomials of [0, 1] at `s`.
-pub(crate) fn legendre(s: f64, modes: usize) -> impl Iterator<Item = f64> {
+fn legendre(s: f64, modes: usize) -> impl Iterator<Item = f64> {
     let x = 2.0 * s - 1.0;
     let (mut before, mut now) = (0.0, 1.0);
     (0..modes).map(move |k| {

@@ -18,8 +18,8 @@ mod table;
 use thiserror::Error;
 
 pub(crate) use assembly::{Assembly, STRAINS};
+pub(crate) use basis::Basis;
 pub use basis::Resolution;
-pub(crate) use basis::{Basis, legendre};
 pub(crate) use condensed::{Condensed, blocks, half_bracket, moment_force, twist, vector6, wrench};
 pub(crate) use dual::{DualMatrix, DualVector, Exponential, skew, small_twist};
 pub use law::{Jet, Law, LawError, Quadratic, Straight};
