@@ -157,6 +157,10 @@ impl Module {
             if !(rod.outer_radius >= 0.0 && rod.outer_radius.is_finite()) {
                 return invalid("a rod's outer radius (m)", rod.outer_radius, "must be finite and not negative");
             }
+            let turn = rod.rest_curvature.norm() * rod.length;
+            if !(turn <= 3.0) {
+                return invalid("a rod's turn at rest (rad)", turn, "must be at most 3");
+            }
             if let Some(x) = base.iter().find(|x| !x.is_finite()) {
                 return invalid("a base's coordinate (m)", *x, "must be finite");
             }
@@ -195,9 +199,14 @@ impl Module {
 
     /// What the plate's pose does to rod `index`'s tip: the tip's target pose.
     fn target(&self, plate: &DualMatrix, index: usize) -> DualMatrix {
+        *plate * self.offset(index)
+    }
+
+    /// Where rod `index` is fixed to the plate.
+    fn offset(&self, index: usize) -> DualMatrix {
         let Mount { base, rod } = &self.mounts[index];
         let offset = base + Vector3::new(0.0, 0.0, rod.length) - self.rest;
-        *plate * DualMatrix::pose(nalgebra::Matrix3::identity(), &offset)
+        DualMatrix::pose(nalgebra::Matrix3::identity(), &offset)
     }
 
     fn base(&self, index: usize) -> DualMatrix {

@@ -1,11 +1,11 @@
 //! Newton's method for the whole module, one 6 x 6 system at a time, and load stepping about it.
 
-use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector6};
+use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector3, Vector6};
 
 use super::state::Unknowns;
-use super::{Loads, Module, ModuleError, State};
+use super::{Loads, Module, ModuleError, Mount, State};
 use crate::fem::rod::{
-    Assembly, Condensed, DualMatrix, DualVector, Exponential, RodError, blocks, half_bracket, moment_force,
+    Assembly, Condensed, DualMatrix, DualVector, Exponential, Rod, RodError, STRAINS, blocks, half_bracket, moment_force,
     skew, small_twist, twist, vector6, wrench,
 };
 
@@ -35,22 +35,36 @@ pub(super) struct Solver<'a> {
     /// From each tip to its place at the plate.
     gaps: Vec<Vector6<f64>>,
     step: Vec<f64>,
+    /// The plate does not move.
+    held: bool,
 }
 
 impl Module {
-    /// The equilibrium at rest, without loads.
+    /// Unknowns without loads: every rod in its rest shape, the plate on the first one.
     fn unloaded(&self) -> (Loads, Unknowns) {
-        let n = self.mounts.len();
-        let strains = vec![0.0; crate::fem::rod::STRAINS * self.basis.modes];
-        let plate = DualMatrix::pose(Matrix3::identity(), &self.rest);
-        let unknowns = Unknowns { plate, rods: vec![(strains, DualVector::ZERO); n] };
-        (Loads::pressures(vec![0.0; n]), unknowns)
+        let rods = self.mounts.iter().map(|Mount { rod, .. }| {
+            let mut strains = vec![0.0; STRAINS * self.basis.modes];
+            strains[..2].copy_from_slice(rod.rest_curvature.as_slice());
+            (strains, DualVector::ZERO)
+        });
+        let Rod { length, rest_curvature, .. } = self.mounts[0].rod;
+        let screw = DualVector { re: rest_curvature.push(0.0), du: Vector3::z() }.scaled(length);
+        let plate = self.base(0) * Exponential::new(screw).pose() * self.offset(0).transpose();
+        (Loads::pressures(vec![0.0; self.mounts.len()]), Unknowns { plate, rods: rods.collect() })
     }
 
     /// The equilibrium under `loads`, followed from rest. It may be unstable, and says so. Errors: see [`ModuleError`].
     pub fn equilibrium(&self, loads: &Loads) -> Result<State, ModuleError> {
         let (start, unknowns) = self.unloaded();
         Solver::new(self).follow(&start, unknowns, loads)
+    }
+
+    /// The equilibrium under `pressures` (Pa) with the plate held where it is at rest. Its negative pivots are those
+    /// of the rods between clamped ends: a blocked FREE buckles like a strut.
+    pub fn blocked(&self, pressures: &[f64]) -> Result<State, ModuleError> {
+        let (start, mut unknowns) = self.unloaded();
+        unknowns.plate = DualMatrix::pose(Matrix3::identity(), &self.rest);
+        Solver { held: true, ..Solver::new(self) }.follow(&start, unknowns, &Loads::pressures(pressures))
     }
 
     /// The equilibrium under `loads`, followed from `start`, an equilibrium of this module.
@@ -65,7 +79,7 @@ impl Module {
         let mut unknowns = state.unknowns.clone();
         for (strains, _) in &mut unknowns.rods {
             // The polynomials are a hierarchy: higher ones begin at zero.
-            strains.resize(crate::fem::rod::STRAINS * fine.basis.modes, 0.0);
+            strains.resize(STRAINS * fine.basis.modes, 0.0);
         }
         let finer = Solver::new(&fine).follow(&state.loads, unknowns, &state.loads)?;
         Ok((finer.position() - state.position()).norm() / self.length())
@@ -81,6 +95,7 @@ impl<'a> Solver<'a> {
             condensed: vec![Condensed::default(); n],
             gaps: vec![Vector6::zeros(); n],
             step: Vec::new(),
+            held: false,
         }
     }
 
@@ -146,7 +161,10 @@ impl<'a> Solver<'a> {
         for _ in 0..ITERATIONS {
             *iterations += 1;
             let linear = self.linearise(&at, loads)?;
-            let eta = linear.stiffness.lu().solve(&linear.residual).ok_or(None)?;
+            let eta = match self.held {
+                true => Vector6::zeros(),
+                false => linear.stiffness.lu().solve(&linear.residual).ok_or(None)?,
+            };
             let size = self.advance(&mut at, &eta, None, 1.0);
             if size < CONVERGED {
                 return Ok(at);
@@ -243,7 +261,10 @@ impl<'a> Solver<'a> {
         let f = skew(&force);
         stiffness -= half_bracket(&sum) + blocks(f * skew(&centre), -f, Matrix3::zeros(), Matrix3::zeros());
         let stiffness = shift.tr_mul(&(stiffness * shift));
-        let unstable_plate = modes(&stiffness, self.module.length()).filter(|(value, _)| *value < 0.0).count() as i32;
+        let unstable_plate = match self.held {
+            true => 0,
+            false => modes(&stiffness, self.module.length()).filter(|(value, _)| *value < 0.0).count() as i32,
+        };
         State {
             loads,
             unknowns,

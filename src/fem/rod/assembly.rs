@@ -16,7 +16,6 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::basis::Basis;
 use super::dual::{DualMatrix, DualVector, Exponential, MAX_SQUARED_ANGLE};
-use super::law::Law;
 use super::{Rod, RodError};
 
 /// Unknowns of one mode: bending 2, twist, shear 2, stretch (as a dual vector's components).
@@ -69,7 +68,7 @@ impl Assembly {
     ) -> Result<(), RodError> {
         let (modes, steps) = (basis.modes, basis.steps);
         self.clear(modes);
-        self.constitutive(&rod.law, rod.length, basis, pressure, q)?;
+        self.constitutive(rod, basis, pressure, q)?;
         let h = rod.length / steps as f64;
         let commutator = 3f64.sqrt() / 12.0 * h * h;
         let wrench_skew = wrench.skew();
@@ -124,15 +123,6 @@ impl Assembly {
         self.nodes.last().copied().unwrap_or_else(DualMatrix::identity)
     }
 
-    /// `J dq`.
-    pub fn twist(&self, dq: &[f64]) -> DualVector {
-        let mut sum = DualVector::ZERO;
-        for (j, d) in self.jacobian.iter().zip(dq.chunks_exact(STRAINS)) {
-            sum += j.apply(&DualVector { re: Vector3::new(d[0], d[1], d[2]), du: Vector3::new(d[3], d[4], d[5]) });
-        }
-        sum
-    }
-
     fn clear(&mut self, modes: usize) {
         let n = STRAINS * modes;
         self.n = n;
@@ -154,14 +144,8 @@ impl Assembly {
     }
 
     /// The law's part: energy, dU/dq, d2U/dq2, d2U/dq dP.
-    fn constitutive(
-        &mut self,
-        law: &Law,
-        length: f64,
-        basis: &Basis,
-        pressure: f64,
-        q: &[f64],
-    ) -> Result<(), RodError> {
+    fn constitutive(&mut self, rod: &Rod, basis: &Basis, pressure: f64, q: &[f64]) -> Result<(), RodError> {
+        let Rod { length, ref law, rest_curvature, .. } = *rod;
         let isobar = law.at(pressure)?;
         let modes = basis.modes;
         let weight = length / (2 * basis.steps) as f64;
@@ -169,7 +153,7 @@ impl Assembly {
         for point in 0..2 * basis.steps {
             let phi = basis.at(point);
             let x = strain(phi, q);
-            let (k, g) = (x.re.xy(), x.du.xy());
+            let (k, g) = (x.re.xy() - rest_curvature, x.du.xy());
             let jet = isobar.jet(x.du.z, x.re.z)?;
             self.energy += weight
                 * (jet.value + 0.5 * ei * k.norm_squared() + 0.5 * ga * g.norm_squared() + c * k.dot(&g));

@@ -66,6 +66,7 @@ impl DualVector {
     }
 
     /// Work of a wrench on a twist.
+    #[cfg(test)]
     pub fn work(&self, o: &DualVector) -> f64 {
         self.dot(o).du
     }
@@ -137,10 +138,12 @@ impl DualMatrix {
         Vector3::new(s[(2, 1)] - s[(1, 2)], s[(0, 2)] - s[(2, 0)], s[(1, 0)] - s[(0, 1)]) * 0.5
     }
 
+    /// The inverse of a pose.
     pub fn transpose(&self) -> DualMatrix {
         DualMatrix { re: self.re.transpose(), du: self.du.transpose() }
     }
 
+    #[cfg(test)]
     pub fn apply(&self, v: &DualVector) -> DualVector {
         DualVector { re: self.re * v.re, du: self.re * v.du + self.du * v.re }
     }

@@ -15,6 +15,7 @@ mod dual;
 mod law;
 mod table;
 
+use nalgebra::Vector2;
 use thiserror::Error;
 
 pub(crate) use assembly::{Assembly, STRAINS};
@@ -32,8 +33,17 @@ pub struct Rod {
     pub length: f64,
     /// Its law.
     pub law: Law,
+    /// Curvature at rest about the section's x and y, rad/m: an imperfect FREE is not straight.
+    pub rest_curvature: Vector2<f64>,
     /// Outer radius for the clearance to other rods, m; 0 ignores contact.
     pub outer_radius: f64,
+}
+
+impl Rod {
+    /// A straight rod of `length` m and `law` that touches nothing.
+    pub fn straight(length: f64, law: Law) -> Rod {
+        Rod { length, law, rest_curvature: Vector2::zeros(), outer_radius: 0.0 }
+    }
 }
 
 /// Why a rod's state cannot be computed.
