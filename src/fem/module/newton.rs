@@ -9,8 +9,8 @@ use crate::fem::rod::{
     skew, small_twist, twist, vector6, wrench,
 };
 
-/// A correction below this (strains times length, radians, lengths per length) ends the iteration: Newton squares it,
-/// so what is left is rounding.
+/// A correction below this (strains times length, radians, lengths per length; wrenches in EI / L) ends the iteration:
+/// Newton squares it, so what is left is rounding.
 const CONVERGED: f64 = 1e-7;
 /// Each correction must be below this share of the one before.
 const CONTRACTION: f64 = 0.5;
@@ -25,6 +25,12 @@ const SHORTEST: f64 = 1.0 / 4096.0;
 pub(super) struct Linear {
     pub stiffness: Matrix6<f64>,
     pub residual: Vector6<f64>,
+}
+
+/// How large a correction was: motions (strains times length, radians, lengths per length) and wrenches (in EI / L).
+pub(super) struct Step {
+    pub size: f64,
+    pub load: f64,
 }
 
 /// Work space for one module.
@@ -81,7 +87,10 @@ impl Module {
             // The polynomials are a hierarchy: higher ones begin at zero.
             strains.resize(STRAINS * fine.basis.modes, 0.0);
         }
-        let finer = Solver::new(&fine).follow(&state.loads, unknowns, &state.loads)?;
+        // Near a limit point the finer solution may be too far for one step: then it is followed from rest.
+        let finer = Solver::new(&fine)
+            .follow(&state.loads, unknowns, &state.loads)
+            .or_else(|_| fine.equilibrium(&state.loads))?;
         Ok((finer.position() - state.position()).norm() / self.length())
     }
 }
@@ -165,11 +174,11 @@ impl<'a> Solver<'a> {
                 true => Vector6::zeros(),
                 false => linear.stiffness.lu().solve(&linear.residual).ok_or(None)?,
             };
-            let size = self.advance(&mut at, &eta, None, 1.0);
-            if size < CONVERGED {
+            let Step { size, load } = self.advance(&mut at, &eta, None, 1.0);
+            if size.max(load) < CONVERGED {
                 return Ok(at);
             }
-            if !(size <= CONTRACTION * before && size < LONGEST) {
+            if !(size <= f64::max(CONTRACTION * before, CONVERGED) && size < LONGEST) {
                 return Err(None);
             }
             before = size;
@@ -208,15 +217,18 @@ impl<'a> Solver<'a> {
     }
 
     /// Moves everything by the plate's twist `eta`, the changes of pressure `dp` and, for `residual` 1, what removes
-    /// the residual; the size of the step.
-    pub fn advance(&mut self, at: &mut Unknowns, eta: &Vector6<f64>, dp: Option<&[f64]>, residual: f64) -> f64 {
-        let mut size = 0.0f64;
+    /// the residual.
+    pub fn advance(&mut self, at: &mut Unknowns, eta: &Vector6<f64>, dp: Option<&[f64]>, residual: f64) -> Step {
+        let (mut size, mut load) = (0.0f64, 0.0f64);
         for (index, (strains, w)) in at.rods.iter_mut().enumerate() {
-            let length = self.module.mounts[index].rod.length;
+            let Rod { length, ref law, .. } = self.module.mounts[index].rod;
             let pressure = dp.map_or(0.0, |dp| dp[index]);
             let gap = self.gaps[index] * residual;
             let change = self.condensed[index].expand(eta, &gap, pressure, residual, &mut self.step);
-            *w += wrench(&change);
+            let change = wrench(&change);
+            *w += change;
+            // What bends the rod, not what would squeeze it: moments, and forces on an arm of its length.
+            load = load.max((change.du.amax() + length * change.re.amax()) * length / law.bending.at(0.0));
             for (strain, step) in strains.chunks_exact_mut(6).zip(self.step.chunks_exact(6)) {
                 for (s, d) in strain.iter_mut().zip(step) {
                     *s += d;
@@ -232,7 +244,8 @@ impl<'a> Solver<'a> {
         let turn = eta.re.norm();
         let scale = if turn > 3.0 { 3.0 / turn } else { 1.0 };
         at.plate = Exponential::new(eta.scaled(scale)).pose() * at.plate;
-        if size.is_finite() { size } else { f64::INFINITY }
+        let finite = |x: f64| if x.is_finite() { x } else { f64::INFINITY };
+        Step { size: finite(size), load: finite(load) }
     }
 
     /// Turns K and wrenches to the plate's centre, counts the inertia.
