@@ -6,6 +6,7 @@
 //! | --- | --- | --- |
 //! | [`linear`] | closed form, fibres smeared | small pressure |
 //! | [`solid`] | finite tube with its ends, mixed hexahedra | any finite strain; end effects, bending, buckling |
+//! | [`rod`], [`module`] | geometrically exact rods under a rigid plate | any bend, payload, buckling |
 //!
 //! All answer in the same terms: a [`tube::Tube`], its [`ends::Ends`], an [`ends::Equilibrium`]. Signs: z from base to
 //! tip, twist and moment right-handed about z, `force` and `moment` are what the closed tube does to its distal
@@ -17,4 +18,6 @@ pub mod material;
 pub mod section;
 pub mod solid;
 pub mod sparse;
+pub mod module;
+pub mod rod;
 pub mod tube;

@@ -1,0 +1,297 @@
+//! What a rod is made of: one potential of its strains and its pressure, per reference length.
+//!
+//! ```text
+//!     psi(lam, tau, kappa, gamma; P) = psi0(lam, tau; P) + EI(P) |kappa|^2 / 2 + GA(P) |gamma|^2 / 2 + C(P) kappa . gamma
+//! ```
+//!
+//! psi0 is the energy of the straight section less `P V`, minimised over the section's own fields, so its derivatives
+//! are the *total* force and moment: pressure acts through the potential and nowhere else, with no lateral load and no
+//! thrust on a cap. All derivatives are taken of this one function: the tangent is symmetric and energy is conserved.
+
+use std::sync::Arc;
+
+use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
+use thiserror::Error;
+
+use super::table::Table;
+use crate::fem::linear::LinearSection;
+
+/// Where a law refuses to answer.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum LawError {
+    /// The state is not in the tabulated domain of accepted, stable sections.
+    #[error(
+        "stretch {stretch:.4}, twist {twist:.2} rad/m at {pressure:.0} Pa lie outside the tabulated section law: \
+         lower the pressure or the load, or tabulate a wider domain"
+    )]
+    OutsideTable {
+        /// Axial stretch.
+        stretch: f64,
+        /// Twist, rad per reference metre.
+        twist: f64,
+        /// Gauge pressure, Pa.
+        pressure: f64,
+    },
+    /// A linear law was strained to stretch zero or below, or the strain is not finite.
+    #[error("axial stretch {0}: the rod is squeezed to nothing; the load is far beyond what the law describes")]
+    Stretch(f64),
+    /// Bending and shear are no positive definite form.
+    #[error(
+        "at {pressure:.0} Pa bending stiffness {bending} N m2, shear stiffness {shear} N and coupling {coupling} N m: \
+         the first two must be positive and exceed the coupling's square"
+    )]
+    Bending {
+        /// Gauge pressure, Pa.
+        pressure: f64,
+        /// EI, N m2.
+        bending: f64,
+        /// GA, N.
+        shear: f64,
+        /// C, N m.
+        coupling: f64,
+    },
+}
+
+/// Value and derivatives of psi0 by (stretch, twist, pressure).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Jet {
+    /// psi0, N (J per reference metre).
+    pub value: f64,
+    /// (N, M, -V): axial force N, moment N m, minus the cavity's volume per reference length m2.
+    pub gradient: Vector3<f64>,
+    /// The symmetric second derivatives.
+    pub hessian: Matrix3<f64>,
+}
+
+/// psi0, the straight section.
+#[derive(Clone, Debug)]
+pub enum Straight {
+    /// `x.K x / 2 - P a.x - P V0 - P^2 c / 2` of x = (stretch - 1, twist).
+    Linear {
+        /// K: N, N m, N m2.
+        stiffness: Matrix2<f64>,
+        /// a: force and moment per pressure that a blocked section exerts, m2, m3.
+        actuation: Vector2<f64>,
+        /// V0, m2.
+        volume: f64,
+        /// c = dV/dP at fixed x, m2/Pa.
+        compliance: f64,
+    },
+    /// Interpolated.
+    Table(Arc<Table>),
+}
+
+/// A quadratic function of the pressure.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Quadratic {
+    /// `c[0] + c[1] P + c[2] P^2`.
+    coefficients: [f64; 3],
+}
+
+/// The law of a rod.
+#[derive(Clone, Debug)]
+pub struct Law {
+    /// psi0.
+    pub straight: Straight,
+    /// EI, N m2, of curvature per reference length.
+    pub bending: Quadratic,
+    /// GA, N, of shear per reference length. A rod that cannot shear is one with a large GA: shear strains are
+    /// unknowns of their own, so nothing locks.
+    pub shear: Quadratic,
+    /// C, N m.
+    pub coupling: Quadratic,
+    /// The mirror image (other handedness): psi0(lam, -tau) and -C.
+    pub mirrored: bool,
+}
+
+/// A law at one pressure.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Isobar<'a> {
+    law: &'a Law,
+    pressure: f64,
+    /// EI, GA, C.
+    pub lateral: [f64; 3],
+    /// Their derivatives by pressure.
+    pub lateral_slope: [f64; 3],
+}
+
+impl Quadratic {
+    /// The same at every pressure.
+    pub fn constant(value: f64) -> Quadratic {
+        Quadratic { coefficients: [value, 0.0, 0.0] }
+    }
+
+    /// Through three (pressure Pa, value) of different pressures.
+    pub fn through(points: [(f64, f64); 3]) -> Quadratic {
+        // Newton's divided differences, multiplied out.
+        let [(p0, f0), (p1, f1), (p2, f2)] = points;
+        let d01 = (f1 - f0) / (p1 - p0);
+        let d12 = (f2 - f1) / (p2 - p1);
+        let d = (d12 - d01) / (p2 - p0);
+        Quadratic { coefficients: [f0 - p0 * d01 + p0 * p1 * d, d01 - (p0 + p1) * d, d] }
+    }
+
+    /// The value at `pressure` Pa.
+    pub fn at(&self, pressure: f64) -> f64 {
+        let [a, b, c] = self.coefficients;
+        a + pressure * (b + pressure * c)
+    }
+
+    fn slope(&self, pressure: f64) -> f64 {
+        self.coefficients[1] + 2.0 * pressure * self.coefficients[2]
+    }
+}
+
+impl Straight {
+    /// The closed-form section law of a tube.
+    pub fn closed_form(section: &LinearSection) -> Straight {
+        let rest = section.solve(0.0, crate::fem::ends::Ends::BLOCKED);
+        Straight::Linear {
+            stiffness: section.stiffness,
+            actuation: section.actuation,
+            volume: rest.volume,
+            compliance: -rest.tangent[(2, 2)],
+        }
+    }
+
+    /// An elastic rod whose rest state moves with its "pressure" p, a plain load factor here: p `extension` is its
+    /// spontaneous strain and p `twist` its spontaneous twist (rad/m). EA in N, GJ in N m2.
+    pub fn spontaneous(ea: f64, gj: f64, extension: f64, twist: f64) -> Straight {
+        let stiffness = Matrix2::new(ea, 0.0, 0.0, gj);
+        let rest = Vector2::new(extension, twist);
+        let actuation = stiffness * rest;
+        // (x - p rest) . K (x - p rest) / 2
+        Straight::Linear { stiffness, actuation, volume: 0.0, compliance: -actuation.dot(&rest) }
+    }
+
+    fn jet(&self, stretch: f64, twist: f64, pressure: f64) -> Result<Jet, LawError> {
+        match self {
+            Straight::Linear { stiffness, actuation, volume, compliance } => {
+                if !(stretch > 0.0 && stretch.is_finite() && twist.is_finite()) {
+                    return Err(LawError::Stretch(stretch));
+                }
+                let x = Vector2::new(stretch - 1.0, twist);
+                let kx = stiffness * x;
+                let push = actuation.dot(&x);
+                let force = kx - actuation * pressure;
+                let v = volume + push + compliance * pressure;
+                let a = -actuation;
+                let k = stiffness;
+                Ok(Jet {
+                    value: 0.5 * x.dot(&kx) - pressure * (push + volume + 0.5 * compliance * pressure),
+                    gradient: Vector3::new(force.x, force.y, -v),
+                    hessian: Matrix3::new(k.m11, k.m12, a.x, k.m21, k.m22, a.y, a.x, a.y, -compliance),
+                })
+            }
+            Straight::Table(table) => table.jet(stretch, twist, pressure),
+        }
+    }
+}
+
+impl Law {
+    /// psi0 of this law's handedness by (stretch, twist rad/m, pressure Pa).
+    pub fn jet(&self, stretch: f64, twist: f64, pressure: f64) -> Result<Jet, LawError> {
+        if !self.mirrored {
+            return self.straight.jet(stretch, twist, pressure);
+        }
+        let mut jet = self.straight.jet(stretch, -twist, pressure)?;
+        jet.gradient.y = -jet.gradient.y;
+        for other in [0, 2] {
+            jet.hessian[(1, other)] = -jet.hessian[(1, other)];
+            jet.hessian[(other, 1)] = -jet.hessian[(other, 1)];
+        }
+        Ok(jet)
+    }
+
+    /// The law at `pressure` Pa, or what is wrong with it there.
+    pub(crate) fn at(&self, pressure: f64) -> Result<Isobar<'_>, LawError> {
+        let hand = if self.mirrored { -1.0 } else { 1.0 };
+        let [bending, shear] = [self.bending.at(pressure), self.shear.at(pressure)];
+        let coupling = hand * self.coupling.at(pressure);
+        if !(bending > 0.0 && shear > 0.0 && bending * shear > coupling * coupling && pressure.is_finite()) {
+            return Err(LawError::Bending { pressure, bending, shear, coupling });
+        }
+        let slope = [self.bending, self.shear, self.coupling].map(|q| q.slope(pressure));
+        Ok(Isobar {
+            law: self,
+            pressure,
+            lateral: [bending, shear, coupling],
+            lateral_slope: [slope[0], slope[1], hand * slope[2]],
+        })
+    }
+}
+
+impl Isobar<'_> {
+    pub fn jet(&self, stretch: f64, twist: f64) -> Result<Jet, LawError> {
+        self.law.jet(stretch, twist, self.pressure)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fem::ends::{End, Ends};
+    use crate::fem::tube::Tube;
+
+    #[test]
+    fn the_closed_form_law_is_the_linear_section() {
+        let section = LinearSection::new(&Tube::reference(0.7)).unwrap();
+        let law = Straight::closed_form(&section);
+        let held = Ends { axial: End::Held(1.03), torsion: End::Held(-2.0) };
+        let want = section.solve(2e4, held);
+        let got = law.jet(1.03, -2.0, 2e4).unwrap();
+        assert!((got.gradient - Vector3::new(-want.force, -want.moment, -want.volume)).norm() < 1e-14);
+        assert!((got.hessian - want.tangent).norm() < 1e-12);
+    }
+
+    #[test]
+    fn every_derivative_is_that_of_the_one_potential_of_either_hand() {
+        let section = LinearSection::new(&Tube::reference(0.7)).unwrap();
+        for mirrored in [false, true] {
+            let law = Law {
+                straight: Straight::closed_form(&section),
+                bending: Quadratic::constant(4e-4),
+                shear: Quadratic::constant(5.0),
+                coupling: Quadratic::constant(0.0),
+                mirrored,
+            };
+            let at = [1.03, -2.0, 2e4];
+            let jet = law.jet(at[0], at[1], at[2]).unwrap();
+            for (i, step) in [1e-4, 1e-3, 1.0].into_iter().enumerate() {
+                let [mut low, mut high] = [at; 2];
+                low[i] -= step;
+                high[i] += step;
+                let [low, high] = [low, high].map(|a| law.jet(a[0], a[1], a[2]).unwrap());
+                let slope = (high.value - low.value) / (2.0 * step);
+                // A quadratic function: central differences are exact but for the rounding of the value.
+                assert!((slope - jet.gradient[i]).abs() < 1e-14 / step + 1e-9 * jet.gradient[i].abs());
+                let slope = (high.gradient - low.gradient) / (2.0 * step);
+                let column = jet.hessian.column(i);
+                assert!((slope - column).norm() < 1e-14 / step + 1e-9 * column.norm(), "{slope} {column}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_quadratic_goes_through_its_points_and_knows_its_slope() {
+        let q = Quadratic::through([(0.0, 673.0), (3.5, 909.0), (7.0, 1854.0)]);
+        assert!((q.at(0.0) - 673.0).abs() < 1e-12 && (q.at(3.5) - 909.0).abs() < 1e-12 && (q.at(7.0) - 1854.0).abs() < 1e-12);
+        assert!(((q.at(2.001) - q.at(1.999)) / 0.002 - q.slope(2.0)).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_law_without_stiffness_is_refused_by_name() {
+        let law = Law {
+            straight: Straight::spontaneous(30.0, 3e-4, 0.0, 0.0),
+            bending: Quadratic::through([(0.0, 4e-4), (1.0, 2e-4), (2.0, 0.0)]),
+            shear: Quadratic::constant(5.0),
+            coupling: Quadratic::constant(0.0),
+            mirrored: false,
+        };
+        assert!(law.at(1.0).is_ok());
+        assert!(matches!(law.at(2.0), Err(LawError::Bending { .. })));
+        assert!(matches!(law.at(f64::NAN), Err(LawError::Bending { .. })));
+        assert!(matches!(law.jet(-0.1, 0.0, 0.0), Err(LawError::Stretch(_))));
+        assert!(matches!(law.jet(1.0, f64::NAN, 0.0), Err(LawError::Stretch(_))));
+    }
+}

@@ -1,0 +1,322 @@
+//! psi0 interpolated over (stretch, twist, pressure): one potential, twice continuously differentiable.
+//!
+//! On a rectangular grid whose points give the potential's value, gradient and Hessian, every cell is a tensor product
+//! of quintic Hermite polynomials. They match all derivatives up to the second in each variable at the corners, so the
+//! potential is C2 across cells, its derivatives are derivatives of one function, and its tangent is symmetric. Of the
+//! 27 derivatives that a corner needs the law gives 10; the 17 mixed ones of higher order are differences of those
+//! along the grid. They are fourth-order exact and multiply the basis functions that vanish with at least the third
+//! power of the cell's size, so the interpolant keeps its sixth order.
+//!
+//! A cell is valid where all its eight corners were accepted; elsewhere the table refuses by name.
+
+use nalgebra::{Matrix3, Vector3};
+use thiserror::Error;
+
+use super::law::{Jet, LawError};
+
+/// Derivatives 0 to 2 in each variable.
+const DERIVATIVES: usize = 27;
+/// Points of a difference formula.
+const STENCIL: usize = 5;
+
+/// One axis of the grid, evenly spaced.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Axis {
+    /// First value.
+    pub from: f64,
+    /// Last value.
+    pub to: f64,
+    /// Points, at least 5.
+    pub points: usize,
+}
+
+/// What is no table.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum TableError {
+    /// An axis is empty, reversed or has too few points.
+    #[error("axis {0:?}: must rise from finite to finite in at least {STENCIL} points")]
+    Axis(Axis),
+    /// No cell has all its corners accepted.
+    #[error("the law accepts no whole cell of the grid: choose ranges about the states that it has")]
+    Empty,
+}
+
+/// The interpolated potential.
+#[derive(Clone, Debug)]
+pub struct Table {
+    axes: [Axis; 3],
+    /// By point (pressure fastest): the derivatives `d^(a+b+c) psi0` times the cell's sizes to their powers, at
+    /// `9 a + 3 b + c`.
+    corners: Vec<[f64; DERIVATIVES]>,
+    accepted: Vec<bool>,
+}
+
+/// How far a table is from its law, over the points where both answer.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TableDeviation {
+    /// Largest deviation of axial force N, moment N m and volume per length m2.
+    pub gradient: Vector3<f64>,
+    /// Largest deviation of each second derivative.
+    pub hessian: Matrix3<f64>,
+    /// Points compared.
+    pub points: usize,
+}
+
+impl Axis {
+    fn spacing(&self) -> f64 {
+        (self.to - self.from) / (self.points - 1) as f64
+    }
+
+    fn value(&self, index: usize) -> f64 {
+        self.from + index as f64 * self.spacing()
+    }
+
+    /// The cell of `x` and the place in it, 0 to 1; none outside.
+    fn cell(&self, x: f64) -> Option<(usize, f64)> {
+        let place = (x - self.from) / self.spacing();
+        let last = (self.points - 2) as f64;
+        // The ends belong to the table, up to rounding.
+        if !(place >= -1e-9 && place <= last + 1.0 + 1e-9) {
+            return None;
+        }
+        let cell = place.floor().clamp(0.0, last);
+        Some((cell as usize, place - cell))
+    }
+}
+
+impl Table {
+    /// Tabulates `law`, which gives the potential at (stretch, twist rad/m, pressure Pa), or none where it has no
+    /// accepted state. It is called once a grid point, along the stretch within a twist within a pressure, each row
+    /// begun where the last one ended, so that a solver can go on from its last solution.
+    pub fn build(
+        stretch: Axis,
+        twist: Axis,
+        pressure: Axis,
+        mut law: impl FnMut(f64, f64, f64) -> Option<Jet>,
+    ) -> Result<Table, TableError> {
+        let axes = [stretch, twist, pressure];
+        for axis in axes {
+            if !(axis.points >= STENCIL && axis.from < axis.to && axis.from.is_finite() && axis.to.is_finite()) {
+                return Err(TableError::Axis(axis));
+            }
+        }
+        let count = axes.iter().map(|a| a.points).product();
+        let mut table = Table { axes, corners: vec![[0.0; DERIVATIVES]; count], accepted: vec![false; count] };
+        for k in 0..pressure.points {
+            for j in 0..twist.points {
+                let j = if k % 2 == 0 { j } else { twist.points - 1 - j };
+                for i in 0..stretch.points {
+                    let i = if (j + k) % 2 == 0 { i } else { stretch.points - 1 - i };
+                    if let Some(jet) = law(stretch.value(i), twist.value(j), pressure.value(k)) {
+                        let at = table.index([i, j, k]);
+                        table.accepted[at] = true;
+                        table.corners[at] = known(&jet, axes.map(|a| a.spacing()));
+                    }
+                }
+            }
+        }
+        table.difference();
+        if !table.cells().any(|c| table.valid(c)) {
+            return Err(TableError::Empty);
+        }
+        Ok(table)
+    }
+
+    /// The potential at (stretch, twist rad/m, pressure Pa).
+    pub fn jet(&self, stretch: f64, twist: f64, pressure: f64) -> Result<Jet, LawError> {
+        let outside = LawError::OutsideTable { stretch, twist, pressure };
+        let x = [stretch, twist, pressure];
+        let mut cell = [0; 3];
+        let mut weights = [[[0.0; 6]; 3]; 3];
+        for d in 0..3 {
+            let (at, place) = self.axes[d].cell(x[d]).ok_or(outside)?;
+            cell[d] = at;
+            weights[d] = quintic(place);
+        }
+        if !self.valid(cell) {
+            return Err(outside);
+        }
+        // Sums over pressure, then twist, then stretch; the index of each sum is the order of the derivative.
+        let mut jet = [[[0.0; 3]; 3]; 3];
+        for ci in 0..2 {
+            for a in 0..3 {
+                let mut plane = [[0.0; 3]; 3];
+                for cj in 0..2 {
+                    for b in 0..3 {
+                        let mut line = [0.0; 3];
+                        for ck in 0..2 {
+                            let corner = &self.corners[self.index([cell[0] + ci, cell[1] + cj, cell[2] + ck])];
+                            for c in 0..3 {
+                                let value = corner[9 * a + 3 * b + c];
+                                for (sum, w) in line.iter_mut().zip(&weights[2]) {
+                                    *sum += w[3 * ck + c] * value;
+                                }
+                            }
+                        }
+                        for (row, w) in plane.iter_mut().zip(&weights[1]) {
+                            for (sum, value) in row.iter_mut().zip(line) {
+                                *sum += w[3 * cj + b] * value;
+                            }
+                        }
+                    }
+                }
+                for (block, w) in jet.iter_mut().zip(&weights[0]) {
+                    for (row, from) in block.iter_mut().zip(plane) {
+                        for (sum, value) in row.iter_mut().zip(from) {
+                            *sum += w[3 * ci + a] * value;
+                        }
+                    }
+                }
+            }
+        }
+        let [h, k, l] = self.axes.map(|a| 1.0 / a.spacing());
+        let d = |a: usize, b: usize, c: usize| jet[a][b][c] * h.powi(a as i32) * k.powi(b as i32) * l.powi(c as i32);
+        let (xy, xz, yz) = (d(1, 1, 0), d(1, 0, 1), d(0, 1, 1));
+        Ok(Jet {
+            value: jet[0][0][0],
+            gradient: Vector3::new(d(1, 0, 0), d(0, 1, 0), d(0, 0, 1)),
+            hessian: Matrix3::new(d(2, 0, 0), xy, xz, xy, d(0, 2, 0), yz, xz, yz, d(0, 0, 2)),
+        })
+    }
+
+    /// The share of the grid's cells in which the table answers, 0 to 1.
+    pub fn coverage(&self) -> f64 {
+        let cells = self.axes.iter().map(|a| a.points - 1).product::<usize>();
+        self.cells().filter(|c| self.valid(*c)).count() as f64 / cells as f64
+    }
+
+    /// Compares with `law` at the middle of every `stride`-th valid cell, where the interpolant is worst.
+    pub fn deviation(&self, stride: usize, mut law: impl FnMut(f64, f64, f64) -> Option<Jet>) -> TableDeviation {
+        let mut worst = TableDeviation::default();
+        let middle = |axis: &Axis, i: usize| axis.value(i) + 0.5 * axis.spacing();
+        for cell in self.cells().filter(|c| self.valid(*c)).step_by(stride.max(1)) {
+            let [x, y, z] = [0, 1, 2].map(|d| middle(&self.axes[d], cell[d]));
+            if let (Ok(got), Some(want)) = (self.jet(x, y, z), law(x, y, z)) {
+                worst.gradient = worst.gradient.sup(&(got.gradient - want.gradient).abs());
+                worst.hessian = worst.hessian.sup(&(got.hessian - want.hessian).abs());
+                worst.points += 1;
+            }
+        }
+        worst
+    }
+
+    fn index(&self, at: [usize; 3]) -> usize {
+        (at[0] * self.axes[1].points + at[1]) * self.axes[2].points + at[2]
+    }
+
+    fn cells(&self) -> impl Iterator<Item = [usize; 3]> + use<> {
+        let [n, m, l] = self.axes.map(|a| a.points - 1);
+        (0..n * m * l).map(move |c| [c / (m * l), c / l % m, c % l])
+    }
+
+    fn valid(&self, cell: [usize; 3]) -> bool {
+        (0..8).all(|c| self.accepted[self.index([cell[0] + (c >> 2), cell[1] + (c >> 1 & 1), cell[2] + (c & 1)])])
+    }
+
+    /// Fills the mixed derivatives of higher order from lower ones, along the axis where one order is missing.
+    fn difference(&mut self) {
+        // (target, source, axis along which the source is differentiated), each source known before its target.
+        const PLAN: [([usize; 3], [usize; 3], usize); 17] = [
+            ([1, 1, 1], [1, 1, 0], 2),
+            ([2, 1, 0], [2, 0, 0], 1),
+            ([2, 0, 1], [2, 0, 0], 2),
+            ([1, 2, 0], [0, 2, 0], 0),
+            ([0, 2, 1], [0, 2, 0], 2),
+            ([1, 0, 2], [0, 0, 2], 0),
+            ([0, 1, 2], [0, 0, 2], 1),
+            ([2, 1, 1], [2, 1, 0], 2),
+            ([1, 2, 1], [1, 2, 0], 2),
+            ([1, 1, 2], [1, 0, 2], 1),
+            ([2, 2, 0], [2, 1, 0], 1),
+            ([2, 0, 2], [1, 0, 2], 0),
+            ([0, 2, 2], [0, 1, 2], 1),
+            ([2, 2, 1], [2, 2, 0], 2),
+            ([2, 1, 2], [2, 0, 2], 1),
+            ([1, 2, 2], [0, 2, 2], 0),
+            ([2, 2, 2], [1, 2, 2], 0),
+        ];
+        let place = |d: [usize; 3]| 9 * d[0] + 3 * d[1] + d[2];
+        let sizes = self.axes.map(|a| a.points);
+        for (target, source, axis) in PLAN {
+            for point in 0..self.corners.len() {
+                if !self.accepted[point] {
+                    continue;
+                }
+                let at = [point / (sizes[1] * sizes[2]), point / sizes[2] % sizes[1], point % sizes[2]];
+                let line = |i: usize| {
+                    let mut other = at;
+                    other[axis] = i;
+                    self.index(other)
+                };
+                // The accepted neighbours, as evenly about the point as there are.
+                let (mut first, mut last) = (at[axis], at[axis]);
+                while last - first + 1 < STENCIL {
+                    let below = first > 0 && self.accepted[line(first - 1)];
+                    let above = last + 1 < sizes[axis] && self.accepted[line(last + 1)];
+                    if below && (!above || at[axis] - first <= last - at[axis]) {
+                        first -= 1;
+                    } else if above {
+                        last += 1;
+                    } else {
+                        break;
+                    }
+                }
+                let sum = (first..=last)
+                    .map(|i| slope_weight(first, last, at[axis], i) * self.corners[line(i)][place(source)])
+                    .sum();
+                self.corners[point][place(target)] = sum;
+            }
+        }
+    }
+}
+
+/// The derivatives that a law gives, times the spacings.
+fn known(jet: &Jet, spacing: [f64; 3]) -> [f64; DERIVATIVES] {
+    let mut d = [0.0; DERIVATIVES];
+    d[0] = jet.value;
+    let place = [9, 3, 1];
+    for i in 0..3 {
+        d[place[i]] = jet.gradient[i] * spacing[i];
+        for j in 0..3 {
+            d[place[i] + place[j]] = jet.hessian[(i, j)] * spacing[i] * spacing[j];
+        }
+    }
+    d
+}
+
+/// Weight of node `i` in the derivative at node `at` of the polynomial through the nodes `first..=last` (spacing 1).
+fn slope_weight(first: usize, last: usize, at: usize, i: usize) -> f64 {
+    let d = |a: usize, b: usize| a as f64 - b as f64;
+    let nodes = || first..=last;
+    if i == at {
+        return nodes().filter(|k| *k != at).map(|k| 1.0 / d(at, k)).sum();
+    }
+    let up: f64 = nodes().filter(|k| *k != i && *k != at).map(|k| d(at, k)).product();
+    let down: f64 = nodes().filter(|k| *k != i).map(|k| d(i, k)).product();
+    up / down
+}
+
+/// Quintic Hermite polynomials on [0, 1]: by order of the derivative taken, then at 0 the weights of value, slope and
+/// curvature and at 1 the same.
+fn quintic(s: f64) -> [[f64; 6]; 3] {
+    // Coefficients of s^0 to s^5.
+    const BASIS: [[f64; 6]; 6] = [
+        [1.0, 0.0, 0.0, -10.0, 15.0, -6.0],
+        [0.0, 1.0, 0.0, -6.0, 8.0, -3.0],
+        [0.0, 0.0, 0.5, -1.5, 1.5, -0.5],
+        [0.0, 0.0, 0.0, 10.0, -15.0, 6.0],
+        [0.0, 0.0, 0.0, -4.0, 7.0, -3.0],
+        [0.0, 0.0, 0.0, 0.5, -1.0, 0.5],
+    ];
+    let mut weights = [[0.0; 6]; 3];
+    for (b, c) in BASIS.iter().enumerate() {
+        let (mut value, mut slope, mut curvature) = (0.0, 0.0, 0.0);
+        for c in c.iter().rev() {
+            curvature = curvature * s + 2.0 * slope;
+            slope = slope * s + value;
+            value = value * s + c;
+        }
+        (weights[0][b], weights[1][b], weights[2][b]) = (value, slope, curvature);
+    }
+    weights
+}
