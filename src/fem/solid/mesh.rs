@@ -1,0 +1,282 @@
+//! Meshes of a tube, swept along its fibres.
+//!
+//! Through the wall, round the circumference and along the tube a mesh is a product of three divisions, and its
+//! edges along the tube are helices of the fibres' pitch. A sector, one fibre's share of the circumference, has
+//! cyclic symmetry: the nodes of its last face are images of those of its first. It is meshed in the frame that
+//! turns with the fibres, where it is straight. Bending needs the whole circumference, and a rigid motion sideways
+//! should be exact, so the whole is meshed in space, with elements so short that they turn by less than half a radian.
+
+use std::f64::consts::TAU;
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+use super::body::{Body, Cell, Support};
+use super::element::Rubber;
+use super::fiber::Fiber;
+use super::shapes::NODES;
+use crate::fem::tube::Tube;
+
+/// Most a whole tube's element may turn along the tube, rad.
+const MOST_TURN: f64 = 0.5;
+/// Most elements of a mesh.
+pub const MOST_ELEMENTS: usize = 20_000;
+
+/// What is no mesh.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum MeshError {
+    /// A count of elements is zero.
+    #[error("mesh of {wall} elements through the wall and {around} round a sector: each must be at least 1")]
+    Empty {
+        /// Through the wall.
+        wall: usize,
+        /// Round a sector.
+        around: usize,
+    },
+    /// Sizes along the tube.
+    #[error(
+        "elements along the tube from {first} m at the ends, growing by {growth}, to {largest} m: need 0 < first <= largest and growth >= 1"
+    )]
+    Along {
+        /// First element, m.
+        first: f64,
+        /// Ratio of neighbours.
+        growth: f64,
+        /// Largest element, m.
+        largest: f64,
+    },
+    /// Length not positive.
+    #[error("length {0} m: must be positive and finite")]
+    Length(f64),
+    /// Too many elements.
+    #[error("{elements} elements (most: {MOST_ELEMENTS}): {remedy}")]
+    TooMany {
+        /// Number of elements.
+        elements: usize,
+        /// What to do.
+        remedy: &'static str,
+    },
+}
+
+/// How much of the circumference is meshed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// One fibre's share, with cyclic symmetry: the tube stretches and twists, and cannot bend.
+    Sector,
+    /// All of it.
+    Whole,
+}
+
+/// A tube's mesh. The fibre's model is the tube's: a strip of its width, or a line where that is 0.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mesh {
+    /// How much of the circumference.
+    pub part: Part,
+    /// Elements through the wall.
+    pub wall: usize,
+    /// Ratio of neighbouring elements through the wall, inner over outer: 1 is uniform.
+    pub wall_growth: f64,
+    /// Elements round a sector: all, for line fibres; under the strip, for strips.
+    pub around: usize,
+    /// Ratio of neighbouring elements beside a strip.
+    pub around_growth: f64,
+    /// Element at either end, m, before all are scaled to fill the length.
+    pub first: f64,
+    /// Ratio of neighbouring elements along the tube.
+    pub along_growth: f64,
+    /// Largest element along the tube, m.
+    pub largest: f64,
+}
+
+impl Mesh {
+    /// A sector with 2 elements through the wall, 6 round for line fibres and 2 under a strip, from 0.5 mm at the
+    /// ends to 10 mm.
+    pub fn sector(tube: &Tube) -> Mesh {
+        let line = tube.fiber_width == 0.0;
+        Mesh {
+            part: Part::Sector,
+            wall: if line { 2 } else { 3 },
+            wall_growth: if line { 1.0 } else { 1.5 },
+            around: if line { 6 } else { 2 },
+            around_growth: 1.8,
+            first: 0.5e-3,
+            along_growth: 1.5,
+            largest: 10e-3,
+        }
+    }
+
+    /// The whole circumference, coarse: one element through the wall.
+    pub fn whole(tube: &Tube) -> Mesh {
+        Mesh {
+            part: Part::Whole,
+            wall: 1,
+            wall_growth: 1.0,
+            around: if tube.fiber_width == 0.0 { 2 } else { 1 },
+            around_growth: 4.0,
+            first: 1e-3,
+            along_growth: 2.0,
+            ..Mesh::sector(tube)
+        }
+    }
+}
+
+/// A tube's body and where its nodes are.
+pub(super) struct Meshed {
+    pub body: Body,
+    /// Coordinates of the divisions along the tube, at corners and mid-points of elements.
+    pub planes: Vec<f64>,
+    /// Nodes of the outer surface of each plane, with weights that sum to 1.
+    pub outer: Vec<Vec<(usize, f64)>>,
+    /// How many times the body makes the tube.
+    pub copies: f64,
+}
+
+/// Sizes growing from `first` by `growth` up to `largest`, scaled to fill `length`.
+fn graded(length: f64, first: f64, growth: f64, largest: f64) -> Vec<f64> {
+    let mut sizes = Vec::new();
+    let (mut sum, mut size) = (0.0, first.min(largest));
+    while sum < length * (1.0 - 1e-9) && sizes.len() < MOST_ELEMENTS {
+        sizes.push(size);
+        sum += size;
+        size = (size * growth).min(largest);
+    }
+    sizes.iter().map(|s| s * length / sum).collect()
+}
+
+/// Coordinates of corners and mid-points.
+fn points(start: f64, sizes: &[f64]) -> Vec<f64> {
+    let mut points = vec![start];
+    let mut at = start;
+    for size in sizes {
+        points.extend([at + 0.5 * size, at + size]);
+        at += size;
+    }
+    points
+}
+
+/// Meshes a tube of `length` in units of its outer radius and shear modulus.
+pub(super) fn tube(tube: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> Result<Meshed, MeshError> {
+    if !(length.is_finite() && length > 0.0) {
+        return Err(MeshError::Length(length));
+    }
+    if mesh.wall == 0 || mesh.around == 0 {
+        return Err(MeshError::Empty { wall: mesh.wall, around: mesh.around });
+    }
+    if !(mesh.first > 0.0 && mesh.first <= mesh.largest && mesh.along_growth >= 1.0 && mesh.largest.is_finite()) {
+        let Mesh { first, along_growth: growth, largest, .. } = *mesh;
+        return Err(MeshError::Along { first, growth, largest });
+    }
+    let unit = tube.outer_radius();
+    let length = length / unit;
+    let pitch = tube.gamma.tan();
+    let share = TAU / tube.fibers as f64;
+
+    let (first, mut largest) = (mesh.first / unit, mesh.largest / unit);
+    if mesh.part == Part::Whole {
+        largest = largest.min(MOST_TURN / pitch.abs());
+    }
+    let half = graded(0.5 * length, first, mesh.along_growth, largest);
+    let along: Vec<f64> = half.iter().chain(half.iter().rev()).copied().collect();
+    let planes = points(0.0, &along);
+
+    let mut wall: Vec<f64> = (0..mesh.wall).map(|i| mesh.wall_growth.powi((mesh.wall - 1 - i) as i32)).collect();
+    let sum: f64 = wall.iter().sum();
+    wall.iter_mut().for_each(|s| *s *= tube.wall / unit / sum);
+    let radii = points(tube.inner_radius / unit, &wall);
+
+    // One sector's divisions, and the fibre over each.
+    let strip = (tube.fiber_width / unit).min(share);
+    let (start, mut around, mut fibers) = if strip == 0.0 {
+        let fibers = (0..mesh.around).map(|j| if j == 0 { Fiber::Line } else { Fiber::None }).collect();
+        (0.0, vec![share / mesh.around as f64; mesh.around], fibers)
+    } else {
+        let under = strip / mesh.around as f64;
+        (-0.5 * strip, vec![under; mesh.around], vec![Fiber::Strip(1.0 / mesh.around as f64); mesh.around])
+    };
+    if strip > 0.0 && strip < share {
+        let gap = graded(0.5 * (share - strip), strip / mesh.around as f64, mesh.around_growth, f64::INFINITY);
+        around.extend(gap.iter().chain(gap.iter().rev()));
+        fibers.resize(around.len(), Fiber::None);
+    }
+    let sectors = if mesh.part == Part::Whole { tube.fibers } else { 1 };
+    let (one, one_fibers) = (around.clone(), fibers.clone());
+    for _ in 1..sectors {
+        around.extend(&one);
+        fibers.extend(&one_fibers);
+    }
+    let mut angles = points(start, &around);
+    angles.pop();
+
+    let elements = wall.len() * around.len() * along.len();
+    if elements > MOST_ELEMENTS {
+        let remedy = if mesh.part == Part::Whole && largest < mesh.largest / unit {
+            "fibres this steep need many elements along a whole tube: mesh a sector, a shorter tube or fewer elements round"
+        } else {
+            "take fewer or larger elements"
+        };
+        return Err(MeshError::TooMany { elements, remedy });
+    }
+
+    let (n_wall, n_around) = (radii.len(), angles.len());
+    let index = |i: usize, j: usize, k: usize| i + n_wall * (j + n_around * k);
+    let mut reference = Vec::with_capacity(n_wall * n_around * planes.len());
+    let mut supports = Vec::with_capacity(reference.capacity());
+    for (k, &z) in planes.iter().enumerate() {
+        let support = match k {
+            0 => Support::FIXED,
+            k if k + 1 == planes.len() => Support::Cap,
+            _ => Support::FREE,
+        };
+        for &angle in &angles {
+            let angle = if mesh.part == Part::Whole { angle + pitch * z } else { angle };
+            for &r in &radii {
+                reference.push(Vector3::new(r * angle.cos(), r * angle.sin(), z));
+                supports.push(support);
+            }
+        }
+    }
+    let mut cells = Vec::with_capacity(elements);
+    for k in 0..along.len() {
+        for (j, &fiber) in fibers.iter().enumerate() {
+            for i in 0..wall.len() {
+                let (mut nodes, mut images) = ([0; NODES], [false; NODES]);
+                for n in 0..NODES {
+                    let (a, b, c) = (2 * i + n % 3, 2 * j + n / 3 % 3, 2 * k + n / 9);
+                    images[n] = mesh.part == Part::Sector && b == n_around;
+                    nodes[n] = index(a, b % n_around, c);
+                }
+                cells.push(Cell {
+                    nodes,
+                    images,
+                    inner: i == 0,
+                    fiber: if i + 1 == wall.len() { fiber } else { Fiber::None },
+                    center: [i as f64, j as f64, k as f64],
+                });
+            }
+        }
+    }
+    let total: f64 = around.iter().sum();
+    let mut weights = vec![0.0; n_around];
+    for (j, size) in around.iter().enumerate() {
+        for (at, weight) in [(2 * j, 1.0), (2 * j + 1, 4.0), ((2 * j + 2) % n_around, 1.0)] {
+            weights[at] += weight / 6.0 * size / total;
+        }
+    }
+    let outer = (0..planes.len())
+        .map(|k| weights.iter().enumerate().map(|(j, &w)| (index(n_wall - 1, j, k), w)).collect())
+        .collect();
+    let mu = tube.law.shear_modulus();
+    let body = Body {
+        reference,
+        supports,
+        cells,
+        rubber: Rubber { law: tube.law.with_shear_modulus(1.0), compressibility: bulk.map_or(0.0, f64::recip) },
+        fiber_ea: tube.fiber_ea / (mu * unit * unit),
+        image_angle: share,
+        reference_rate: if mesh.part == Part::Whole { 0.0 } else { pitch },
+        length,
+        cap_center: Vector3::new(0.0, 0.0, length),
+    };
+    let copies = if mesh.part == Part::Whole { 1.0 } else { tube.fibers as f64 };
+    Ok(Meshed { body, planes, outer, copies })
+}

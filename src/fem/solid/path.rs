@@ -1,0 +1,462 @@
+//! A finite tube under pressure and loads: adaptive steps, arc length, limit points.
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+use super::answer::{PathEnd, SolidEquilibrium, SolidPath, Station};
+use super::body::State;
+use super::cap::{AXIAL, COORDINATES, Coordinates, LATERAL, TILT, TURN};
+use super::mesh::{self, Mesh, MeshError, Part};
+use super::system::{Control, Direction, System, SystemError};
+use crate::fem::ends::{End, Ends};
+use crate::fem::tube::{Tube, TubeError};
+
+/// Newton iterations of one step.
+const ITERATIONS: usize = 12;
+/// Smallest part of a step that is tried.
+const SMALLEST: f64 = 1.0 / 1024.0;
+/// Largest step, in units of the shear modulus: about 1 psi for the reference FREE.
+const LARGEST_STEP: f64 = 0.018;
+
+/// What a solid refuses, or cannot do.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum SolidError {
+    /// The tube.
+    #[error(transparent)]
+    Tube(#[from] TubeError),
+    /// The mesh.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// The system.
+    #[error(transparent)]
+    System(#[from] SystemError),
+    /// Bulk modulus out of range.
+    #[error("bulk over shear modulus {0}: must be between 10 and 1e9 (leave it out for an incompressible rubber)")]
+    Bulk(f64),
+    /// Bending asked of a sector.
+    #[error("lateral loads on a sector with cyclic symmetry, which cannot bend: mesh the whole circumference")]
+    Lateral,
+    /// A number that is not finite.
+    #[error("{what} {value}: must be finite")]
+    NotFinite {
+        /// What it is.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+    },
+}
+
+/// What holds the tip, or pulls at it. SI units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tip {
+    /// Stretch and twist: mean over the length where held, force and moment where loaded.
+    pub ends: Ends,
+    /// In x and y: a force fixed in space, N, or a displacement, m.
+    pub lateral: [End; 2],
+    /// About x and y: a moment, N m, conjugate to the cap's rotation vector, or a tilt, rad.
+    pub tilt: [End; 2],
+}
+
+impl Tip {
+    /// Held straight, and by `ends` along and about z.
+    pub fn straight(ends: Ends) -> Tip {
+        Tip { ends, lateral: [End::Held(0.0); 2], tilt: [End::Held(0.0); 2] }
+    }
+
+    /// All six directions free.
+    pub const FREE: Tip = Tip { ends: Ends::FREE, lateral: [End::Loaded(0.0); 2], tilt: [End::Loaded(0.0); 2] };
+}
+
+/// What a step goes to, in the body's units.
+#[derive(Clone, Copy)]
+struct Target {
+    gas: f64,
+    loads: [f64; COORDINATES],
+    cap: Coordinates,
+}
+
+/// A finite tube, meshed, at its last equilibrium.
+pub struct Solid {
+    system: System,
+    planes: Vec<f64>,
+    outer: Vec<Vec<(usize, f64)>>,
+    copies: f64,
+    part: Part,
+    radius: f64,
+    modulus: f64,
+    state: State,
+    iterations: usize,
+}
+
+impl Solid {
+    /// Meshes `tube` of `length` m. `bulk` is the bulk over the shear modulus; without it the rubber is
+    /// incompressible.
+    pub fn new(tube: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> Result<Solid, SolidError> {
+        let tube = tube.validated()?;
+        if let Some(bulk) = bulk.filter(|b| !(10.0..=1e9).contains(b)) {
+            return Err(SolidError::Bulk(bulk));
+        }
+        let meshed = mesh::tube(&tube, length, mesh, bulk)?;
+        let state = meshed.body.rest();
+        let system = System::new(meshed.body, [true; COORDINATES]).map_err(SystemError::from)?;
+        Ok(Solid {
+            system,
+            planes: meshed.planes,
+            outer: meshed.outer,
+            copies: meshed.copies,
+            part: mesh.part,
+            radius: tube.outer_radius(),
+            modulus: tube.law.shear_modulus(),
+            state,
+            iterations: 0,
+        })
+    }
+
+    /// Unknowns: displacements, pressures in the rubber, the cap.
+    pub fn unknowns(&self) -> usize {
+        self.system.size() + self.system.body.pressures() + COORDINATES
+    }
+
+    /// The state of the last equilibrium, in units of the outer radius and the shear modulus.
+    pub fn state(&self) -> &State {
+        &self.state
+    }
+
+    /// Equilibria from rest, under `tip`, at the gauge pressures `pressures`, Pa, one after the other. A path that
+    /// ends early says why; loads that have no equilibrium at zero pressure are an error.
+    pub fn follow(&mut self, tip: &Tip, pressures: &[f64]) -> Result<SolidPath, SolidError> {
+        let target = self.hold(tip)?;
+        self.state = self.system.body.rest();
+        self.iterations = 0;
+        self.go(&Target { gas: 0.0, ..target })?;
+        let mut path = SolidPath { states: Vec::new(), end: PathEnd::Reached, iterations: 0 };
+        for &pressure in pressures {
+            if !pressure.is_finite() {
+                return Err(SolidError::NotFinite { what: "pressure", value: pressure });
+            }
+            let goal = pressure / self.modulus;
+            let steps = ((goal - self.state.gas).abs() / LARGEST_STEP).ceil().max(1.0);
+            let start = self.state.gas;
+            for step in 1..=steps as usize {
+                let gas = start + (goal - start) * step as f64 / steps;
+                if self.go(&Target { gas, ..target }).is_err() {
+                    path.end = match self.limit(goal)? {
+                        Some(limit) => PathEnd::Limit(limit),
+                        None => PathEnd::Stuck(self.state.gas * self.modulus),
+                    };
+                    path.iterations = self.iterations;
+                    return Ok(path);
+                }
+            }
+            path.states.push(self.answer());
+        }
+        path.iterations = self.iterations;
+        Ok(path)
+    }
+
+    /// Follows the branch from the last equilibrium by pseudo-arclength in pressure and volume, through limit
+    /// points: `count` states, each `share` of the volume at rest (or a comparable pressure) further.
+    pub fn arc(&mut self, count: usize, share: f64) -> Result<Vec<SolidEquilibrium>, SolidError> {
+        let mut states = Vec::with_capacity(count);
+        let rest = self.rest_volume();
+        let mut forward: Option<Direction> = None;
+        for _ in 0..count {
+            let direction = self.tangent(forward.as_ref(), rest)?;
+            self.arc_step(&direction, share * rest, rest)?;
+            forward = Some(direction);
+            states.push(self.answer());
+        }
+        Ok(states)
+    }
+
+    /// Checks the tip and holds what is to be held.
+    fn hold(&mut self, tip: &Tip) -> Result<Target, SolidError> {
+        let length = self.system.body.length;
+        let (force, moment) = self.units();
+        let mut target = Target { gas: 0.0, loads: [0.0; COORDINATES], cap: [0.0; COORDINATES] };
+        // Value at rest, unit of the coordinate, unit of the load.
+        let [lx, ly] = LATERAL;
+        let [tx, ty] = TILT;
+        let ends = [
+            (AXIAL, tip.ends.axial, 1.0, length, force),
+            (TURN, tip.ends.torsion, 0.0, length * self.radius, moment),
+            (lx, tip.lateral[0], 0.0, 1.0 / self.radius, force),
+            (ly, tip.lateral[1], 0.0, 1.0 / self.radius, force),
+            (tx, tip.tilt[0], 0.0, 1.0, moment),
+            (ty, tip.tilt[1], 0.0, 1.0, moment),
+        ];
+        for (q, end, rest, unit, load) in ends {
+            let (End::Loaded(value) | End::Held(value)) = end;
+            if !value.is_finite() {
+                return Err(SolidError::NotFinite { what: "end condition", value });
+            }
+            let lateral = q != AXIAL && q != TURN;
+            match end {
+                _ if lateral && self.part == Part::Sector => {
+                    if end != End::Held(0.0) {
+                        return Err(SolidError::Lateral);
+                    }
+                    self.system.held[q] = true;
+                }
+                End::Loaded(value) => {
+                    self.system.held[q] = false;
+                    target.loads[q] = value / load;
+                }
+                End::Held(value) => {
+                    self.system.held[q] = true;
+                    target.cap[q] = (value - rest) * unit;
+                }
+            }
+        }
+        Ok(target)
+    }
+
+    /// Units of force and moment of the body.
+    fn units(&self) -> (f64, f64) {
+        let force = self.modulus * self.radius * self.radius * self.copies;
+        (force, force * self.radius)
+    }
+
+    fn rest_volume(&self) -> f64 {
+        self.system.body.cap_area() * self.system.body.length
+    }
+
+    /// Goes to `target` in as many steps as it takes.
+    fn go(&mut self, target: &Target) -> Result<(), SolidError> {
+        let start = Target { gas: self.state.gas, loads: self.system.loads, cap: self.state.cap };
+        let mut predictor = (self.system.negative() == 0 && self.iterations > 0).then(|| self.predictor()).flatten();
+        let (mut done, mut step) = (0.0, 1.0_f64);
+        while done < 1.0 {
+            let part = (done + step).min(1.0);
+            let between = |a: f64, b: f64| a + (b - a) * part;
+            let mut state = self.state.clone();
+            let gas = between(start.gas, target.gas);
+            if let Some(direction) = &predictor {
+                self.system.advance(&mut state, direction, gas - self.state.gas);
+            }
+            state.gas = gas;
+            for q in 0..COORDINATES {
+                self.system.loads[q] = between(start.loads[q], target.loads[q]);
+                if self.system.held[q] {
+                    state.cap[q] = between(start.cap[q], target.cap[q]);
+                }
+            }
+            let before = self.system.negative();
+            let outcome = self.system.solve(&mut state, &Control::pressure(gas), ITERATIONS);
+            let found = outcome.and_then(|iterations| {
+                self.iterations += iterations;
+                let next = self.predictor_at(&state);
+                // A step must not jump over a pressure maximum.
+                match next {
+                    Some(next) if self.system.negative() <= before || next.volume > 0.0 => Ok(Some(next)),
+                    _ => Err(SystemError::Diverged { iterations, residual: f64::NAN }),
+                }
+            });
+            match found {
+                Ok(next) => {
+                    self.state = state;
+                    predictor = next;
+                    done = part;
+                    step *= 2.0;
+                }
+                Err(error) => {
+                    step *= 0.5;
+                    if step < SMALLEST {
+                        self.restore(predictor.is_some())?;
+                        return Err(error.into());
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes the system that of the last equilibrium again.
+    fn restore(&mut self, solved: bool) -> Result<(), SolidError> {
+        if solved {
+            self.system.evaluate(&self.state, true)?;
+            self.system.factorize()?;
+        }
+        Ok(())
+    }
+
+    fn predictor(&self) -> Option<Direction> {
+        self.predictor_at(&self.state)
+    }
+
+    /// d(state)/dP with the last factorisation.
+    fn predictor_at(&self, state: &State) -> Option<Direction> {
+        let mut direction = self.system.direction(false, &Control::pressure(1.0))?;
+        self.system.recover(state, false, &mut direction);
+        Some(direction)
+    }
+
+    /// The unit tangent of the branch in (pressure, volume / `rest`), along `forward` or towards larger volume.
+    fn tangent(&self, forward: Option<&Direction>, rest: f64) -> Result<Direction, SolidError> {
+        let (p, v) = forward.map_or((0.0, 1.0 / rest), |f| (f.gas, f.volume / (rest * rest)));
+        let control = Control { by_pressure: p, by_volume: v, value: 1.0 };
+        let singular = SolidError::System(SystemError::Diverged { iterations: 0, residual: f64::NAN });
+        let direction = self.system.direction(false, &control).ok_or(singular)?;
+        let norm = direction.gas.hypot(direction.volume / rest);
+        let control = Control { value: 1.0 / norm, ..control };
+        let mut direction = self.system.direction(false, &control).ok_or(singular)?;
+        self.system.recover(&self.state, false, &mut direction);
+        Ok(direction)
+    }
+
+    /// One step of at most `length` (volume) along `direction`, halved where it does not converge.
+    fn arc_step(&mut self, direction: &Direction, length: f64, rest: f64) -> Result<(), SolidError> {
+        let (p, v) = (direction.gas, direction.volume / (rest * rest));
+        let volume = self.system.volume();
+        let mut step = length / rest;
+        loop {
+            let mut state = self.state.clone();
+            let control = Control { by_pressure: p, by_volume: v, value: p * self.state.gas + v * volume + step };
+            self.system.advance(&mut state, direction, step);
+            match self.system.solve(&mut state, &control, ITERATIONS) {
+                Ok(iterations) => {
+                    self.iterations += iterations;
+                    self.state = state;
+                    return Ok(());
+                }
+                Err(error) => {
+                    step *= 0.5;
+                    if step * rest < length * SMALLEST {
+                        self.restore(true)?;
+                        return Err(error.into());
+                    }
+                }
+            }
+        }
+    }
+
+    /// The pressure maximum beyond the last equilibrium and before `goal`, Pa, or `None` if there is none nearby.
+    /// The last equilibrium becomes that of the maximum.
+    fn limit(&mut self, goal: f64) -> Result<Option<f64>, SolidError> {
+        let rest = self.rest_volume();
+        if goal < self.state.gas {
+            return Ok(None);
+        }
+        let mut before: Option<(f64, f64)> = None;
+        let mut forward: Option<Direction> = None;
+        let mut share = 0.02;
+        for _ in 0..60 {
+            let direction = self.tangent(forward.as_ref(), rest)?;
+            // dP/dV here, and the volume.
+            let (slope, volume) = (direction.gas / direction.volume, self.system.volume());
+            if let Some((v0, s0)) = before.filter(|&(_, s0)| s0 * slope <= 0.0) {
+                return self.maximum((v0, s0), (volume, slope), rest).map(Some);
+            }
+            if slope <= 0.0 {
+                return Ok(None);
+            }
+            before = Some((volume, slope));
+            if self.arc_step(&direction, share * rest, rest).is_err() {
+                return Ok(None);
+            }
+            if self.state.gas > goal * (1.0 + 1e-9) {
+                return Ok(None);
+            }
+            share = (share * 1.5_f64).min(0.1);
+            forward = Some(direction);
+        }
+        Ok(None)
+    }
+
+    /// The zero of dP/dV between two volumes, by false position.
+    fn maximum(&mut self, mut a: (f64, f64), mut b: (f64, f64), rest: f64) -> Result<f64, SolidError> {
+        for _ in 0..20 {
+            let volume = (a.0 * b.1 - b.0 * a.1) / (b.1 - a.1);
+            let direction = self.system.direction(false, &Control::volume(1.0));
+            let singular = SolidError::System(SystemError::Diverged { iterations: 0, residual: f64::NAN });
+            let mut direction = direction.ok_or(singular)?;
+            self.system.recover(&self.state, false, &mut direction);
+            let change = volume - self.system.volume();
+            let mut state = self.state.clone();
+            self.system.advance(&mut state, &direction, change);
+            self.iterations += self.system.solve(&mut state, &Control::volume(volume), ITERATIONS)?;
+            self.state = state;
+            let slope = self.system.direction(false, &Control::volume(1.0)).ok_or(singular)?.gas;
+            // P is flat here: its error is slope times the distance to the maximum.
+            let close = (slope * (b.0 - a.0)).abs() < 1e-7 * self.state.gas || (b.0 - a.0).abs() < 1e-9 * rest;
+            if slope > 0.0 {
+                a = (volume, slope);
+                b.1 *= 0.5;
+            } else {
+                b = (volume, slope);
+                a.1 *= 0.5;
+            }
+            if close {
+                break;
+            }
+        }
+        Ok(self.state.gas * self.modulus)
+    }
+
+    /// The last equilibrium in SI units.
+    fn answer(&self) -> SolidEquilibrium {
+        let body = &self.system.body;
+        let (radius, cap) = (self.radius, &self.state.cap);
+        let profile: Vec<Station> = (self.planes.iter().zip(&self.outer))
+            .map(|(&z, nodes)| {
+                let (mut position, mut turn, mut mean) = (0.0, 0.0, 0.0);
+                for &(n, weight) in nodes {
+                    let (rest, here): (&Vector3<f64>, _) = (&body.reference[n], &self.state.positions[n]);
+                    position += weight * here.z;
+                    mean += weight * here.x.hypot(here.y);
+                    turn += weight * (rest.x * here.y - rest.y * here.x).atan2(rest.x * here.x + rest.y * here.y);
+                }
+                turn += cap[TURN] * z / body.length;
+                Station { reference: z * radius, position: position * radius, turn, outer_radius_mean: mean * radius }
+            })
+            .collect();
+        // Slope of the quadratic interpolation in the middle, the mean of both sides.
+        let m = profile.len() / 2;
+        let step = profile[m + 2].reference - profile[m].reference;
+        let slope = |of: fn(&Station) -> f64| {
+            let at = |k: usize| of(&profile[k]);
+            (4.0 * (at(m + 1) - at(m - 1)) - (at(m + 2) - at(m - 2))) / (2.0 * step)
+        };
+        let (force, moment) = self.units();
+        let held: [f64; COORDINATES] = std::array::from_fn(|q| -(self.system.cap_residual()[q] + self.system_load(q)));
+        let (sine, cosine) = cap[TURN].sin_cos();
+        let space = |[x, y]: [f64; 2]| [cosine * x - sine * y, sine * x + cosine * y];
+        let of = |v: &[f64; COORDINATES], [x, y]: [usize; 2], unit: f64| space([v[x] * unit, v[y] * unit]);
+        let compliance = self.system.direction(false, &Control::pressure(1.0)).map_or(f64::NAN, |d| d.volume);
+        let cubic = radius.powi(3) * self.copies;
+        SolidEquilibrium {
+            pressure: self.state.gas * self.modulus,
+            rotation: cap[TURN],
+            stretch: 1.0 + cap[AXIAL] / body.length,
+            middle_twist: slope(|s| s.turn),
+            middle_stretch: slope(|s| s.position),
+            middle_radius: profile[m].outer_radius_mean,
+            lateral: of(cap, LATERAL, radius),
+            tilt: of(cap, TILT, 1.0),
+            force: held[AXIAL] * force,
+            moment: held[TURN] * moment,
+            lateral_force: of(&held, LATERAL, force),
+            bending_moment: of(&held, TILT, moment),
+            volume: self.system.volume() * cubic,
+            compliance: compliance * cubic / self.modulus,
+            negative_pivots: body.pressures() + self.system.negative(),
+            expected_negative_pivots: body.pressures(),
+            profile,
+        }
+    }
+
+    /// The external load along coordinate `q` of the cap, in the frame of the tip.
+    fn system_load(&self, q: usize) -> f64 {
+        let loads = &self.system.loads;
+        let (sine, cosine) = self.state.cap[TURN].sin_cos();
+        for [x, y] in [LATERAL, TILT] {
+            if q == x {
+                return cosine * loads[x] + sine * loads[y];
+            }
+            if q == y {
+                return cosine * loads[y] - sine * loads[x];
+            }
+        }
+        loads[q]
+    }
+}
