@@ -13,6 +13,7 @@
 mod blueprint;
 mod columns;
 mod comparison;
+mod design;
 mod document;
 mod error;
 mod export;
@@ -21,6 +22,7 @@ mod html;
 mod live;
 mod locus;
 mod metrics;
+mod model;
 mod page;
 mod palette;
 mod plot;
@@ -40,6 +42,7 @@ mod stiffness;
 
 pub use columns::column_name;
 pub use comparison::{Comparison, Deviation, Row};
+pub use design::design_sheet;
 pub use document::{
     Backend, ErrorDocument, FORMAT, FaultDocument, FreeDocument, GainsDocument, HysteresisDocument, LimitsDocument,
     LoopDocument, ModelDocument, RealtimeDocument, Repetition, RunDocument, RunKind, RunResult, StartDocument,
@@ -49,6 +52,7 @@ pub use error::{RecordError, Result};
 pub use export::{Exported, Format, TIME_BASE, export};
 pub use live::{LiveFeed, LiveOptions, LiveView};
 pub use locus::locus_sheet;
+pub use model::model_sheet;
 pub use metrics::{ErrorMetrics, FreeMetrics, Metrics, MoveMetrics};
 pub use recorder::{RecordOptions, Recorder};
 pub use regulator::{RegulatorRecord, regulator_sheet};
