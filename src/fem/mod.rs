@@ -6,7 +6,7 @@
 //! | --- | --- | --- |
 //! | [`linear`] | closed form, fibres smeared | small pressure |
 //! | [`section`] | generalised plane strain of one fibre's sector | any finite strain of a long straight FREE |
-| [`solid`] | finite tube with its ends, mixed hexahedra | any finite strain; end effects, bending, buckling |
+//! | [`solid`] | finite tube with its ends, mixed hexahedra | any finite strain; end effects, bending, buckling |
 //!
 //! [`fidelity`] asks any of them the same question, and chooses the cheapest that a scene needs.
 //!

@@ -3,8 +3,8 @@
 use super::palette;
 use super::plot::{Line, Plot};
 use super::sheet::Sheet;
-use crate::plan::design::Design;
 use crate::fem::ends::Equilibrium;
+use crate::plan::design::Design;
 use crate::units::PASCAL_PER_PSI;
 
 /// Height of a drawing, pixels.

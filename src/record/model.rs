@@ -29,9 +29,10 @@ pub fn model_sheet(title: &str, scene: &Scene, answer: &Answer, facts: Vec<(Stri
     let figures = match scene.hold {
         Hold::Free => vec![
             ("Twist".into(), plot("twist (deg/mm)", palette::BLUE, &|r| 1e-3 * r.twist.to_degrees())),
-            ("Rotation of the end".into(), plot("rotation (deg)", palette::BLUE, &|r| {
-                (r.twist * scene.length).to_degrees()
-            })),
+            (
+                "Rotation of the end".into(),
+                plot("rotation (deg)", palette::BLUE, &|r| (r.twist * scene.length).to_degrees()),
+            ),
             ("Elongation".into(), plot("elongation (mm)", palette::GREEN, &|r| 1e3 * (r.stretch - 1.0) * scene.length)),
             ("Outer radius".into(), plot("outer radius (mm)", palette::ORANGE, &|r| 1e3 * r.outer_radius_mean)),
         ],

@@ -19,8 +19,7 @@ use crate::record::design_sheet;
 use crate::units::{Angle, Length, Percent, Pressure};
 
 /// What the paper finds at 175 mm in its Fig. 8, in degrees of winding angle.
-const PAPER: [(Aim, f64); 4] =
-    [(Aim::Rotation, 50.0), (Aim::Extension, 80.0), (Aim::Force, 20.0), (Aim::Moment, 30.0)];
+const PAPER: [(Aim, f64); 4] = [(Aim::Rotation, 50.0), (Aim::Extension, 80.0), (Aim::Force, 20.0), (Aim::Moment, 30.0)];
 
 const EXAMPLES: &str = "\
 Examples:
@@ -210,7 +209,8 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         progress.1.set(done, "");
     });
     drop(progress);
-    let computed = computed.map_err(|error| Failure::failed(error).remedy("narrow the sweep, or lower the pressure"))?;
+    let computed =
+        computed.map_err(|error| Failure::failed(error).remedy("narrow the sweep, or lower the pressure"))?;
     let last = STEPS;
     let in_paper = parameter == Parameter::Gamma;
     let best = PAPER.iter().map(|&(aim, paper)| {
@@ -296,7 +296,10 @@ impl Report {
         let neutral = self.neutral.map_or("not within the sweep".into(), show);
         let paper = self.paper_neutral.map(|p| format!("; at small pressure: {}", show(p))).unwrap_or_default();
         facts.push(("no extension".into(), format!("{neutral}{paper}")));
-        facts.push(("at".into(), format!("{:.2}, length {:.0}", Pressure::pascals(self.pressure_pa), Length::metres(self.length_m))));
+        facts.push((
+            "at".into(),
+            format!("{:.2}, length {:.0}", Pressure::pascals(self.pressure_pa), Length::metres(self.length_m)),
+        ));
         facts.push((
             "discretisation error, estimated".into(),
             format!("{:.2} %", 100.0 * self.discretisation_error_estimate),
@@ -307,8 +310,14 @@ impl Report {
 
     fn text(&self, parameter: Parameter) -> String {
         let head = format!(">{} {}", parameter.name(), parameter.unit());
-        let mut table =
-            Table::new(&[&head, ">rotation deg", ">deg/mm", ">extension mm", ">blocked force N", ">blocked moment mN m"]);
+        let mut table = Table::new(&[
+            &head,
+            ">rotation deg",
+            ">deg/mm",
+            ">extension mm",
+            ">blocked force N",
+            ">blocked moment mN m",
+        ]);
         let show = |value: Option<f64>, digits: usize| value.map_or("-".into(), |v| format!("{v:.digits$}"));
         for row in &self.rows {
             let twist = row.twist_rad_per_m;
@@ -321,7 +330,8 @@ impl Report {
                 show(row.moment_nm.map(|m| 1e3 * m), 2),
             ]);
         }
-        let facts = self.facts(parameter).into_iter().map(|(name, value)| format!("\n{name}: {value}")).collect::<String>();
+        let facts =
+            self.facts(parameter).into_iter().map(|(name, value)| format!("\n{name}: {value}")).collect::<String>();
         let csv = self.csv.as_ref().map(|path| format!("\nall pressures: {}", path.display())).unwrap_or_default();
         format!("{table}\n{facts}\ncurves: {}{csv}", self.report)
     }
