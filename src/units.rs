@@ -169,6 +169,12 @@ quantity!(
     [("g", 1e-3), ("kg", 1.0)]
 );
 
+quantity!(
+    /// A share of a whole. SI: 1.
+    Percent, "share", of_one,
+    [("%", 0.01), ("ppm", 1e-6)]
+);
+
 impl Pressure {
     /// The pressure of `psi` pounds per square inch.
     pub const fn psi(psi: f64) -> Self {

@@ -40,7 +40,9 @@ mod failure;
 mod free;
 mod latency;
 mod log;
+mod model;
 mod outcome;
+mod plan;
 mod progress;
 mod report;
 mod run;
@@ -49,6 +51,7 @@ mod set;
 mod simulate;
 mod status;
 mod table;
+mod tube;
 mod tune;
 mod vent;
 
@@ -128,6 +131,10 @@ enum Command {
     Report(report::Args),
     /// Run the lumped model of a FREE, alone or in a loop with its controller
     Simulate(simulate::Args),
+    /// What geometry and material alone say of a FREE, by the model asked for or the cheapest that is good enough
+    Model(model::Args),
+    /// What to build: rotation, extension, force and moment of many designs
+    Plan(plan::Args),
     /// Compare two runs: RMS deviation, ratio of the tracking errors, overlay plot
     Compare(compare::Args),
     /// Write a run's records as CSV or Parquet
@@ -160,6 +167,8 @@ impl Command {
             Command::Runs(args) => runs::run(args, context),
             Command::Report(args) => report::run(args, context),
             Command::Simulate(args) => simulate::run(args, context),
+            Command::Model(args) => model::run(args, context),
+            Command::Plan(args) => plan::run(args, context),
             Command::Compare(args) => compare::run(args, context),
             Command::Export(args) => export::run(args, context),
             Command::Latency(args) => latency::run(args, context),
@@ -235,7 +244,7 @@ fn signed_quantities(command: clap::Command) -> clap::Command {
 fn takes_a_quantity(arg: &clap::Arg) -> bool {
     use std::any::TypeId;
 
-    use crate::units::{Angle, Force, Frequency, Length, Mass, Moment, Pressure, PressureRate, Seconds};
+    use crate::units::{Angle, Force, Frequency, Length, Mass, Moment, Percent, Pressure, PressureRate, Seconds};
 
     let kind = arg.get_value_parser().type_id();
     [
@@ -246,6 +255,7 @@ fn takes_a_quantity(arg: &clap::Arg) -> bool {
         TypeId::of::<Length>(),
         TypeId::of::<Mass>(),
         TypeId::of::<Moment>(),
+        TypeId::of::<Percent>(),
         TypeId::of::<Pressure>(),
         TypeId::of::<PressureRate>(),
         TypeId::of::<Seconds>(),

@@ -1,1 +1,3 @@
-//! The floor `plan`.
+//! What to command, and what to build.
+
+pub mod design;

@@ -13,6 +13,7 @@
 mod blueprint;
 mod columns;
 mod comparison;
+mod design;
 mod document;
 mod error;
 mod export;
@@ -24,6 +25,7 @@ mod loads;
 mod locus;
 mod material;
 mod metrics;
+mod model;
 mod page;
 mod palette;
 mod plot;
@@ -43,6 +45,7 @@ mod stiffness;
 
 pub use columns::column_name;
 pub use comparison::{Comparison, Deviation, Row};
+pub use design::design_sheet;
 pub use document::{
     Backend, ErrorDocument, FORMAT, FaultDocument, FreeDocument, GainsDocument, HysteresisDocument, LimitsDocument,
     LoopDocument, ModelDocument, RealtimeDocument, Repetition, RunDocument, RunKind, RunResult, StartDocument,
@@ -56,6 +59,7 @@ pub use loads::{LoadsDrawing, draw_loads};
 pub use locus::locus_sheet;
 pub use material::material_sheet;
 pub use metrics::{ErrorMetrics, FreeMetrics, Metrics, MoveMetrics};
+pub use model::model_sheet;
 pub use recorder::{RecordOptions, Recorder};
 pub use regulator::{RegulatorRecord, gauge_sheet, regulator_sheet};
 pub use report::{html, mean_and_scatter, write_report};

@@ -5,8 +5,8 @@ use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector3, Vector6};
 use super::state::Unknowns;
 use super::{Loads, Module, ModuleError, Mount, State};
 use crate::fem::rod::{
-    Assembly, Condensed, DualMatrix, DualVector, Exponential, Rod, RodError, STRAINS, blocks, half_bracket, moment_force,
-    skew, small_twist, twist, vector6, wrench,
+    Assembly, Condensed, DualMatrix, DualVector, Exponential, Rod, RodError, STRAINS, blocks, half_bracket,
+    moment_force, skew, small_twist, twist, vector6, wrench,
 };
 
 /// A correction below this (strains times length, radians, lengths per length; wrenches in EI / L) ends the iteration:
@@ -278,17 +278,7 @@ impl<'a> Solver<'a> {
             true => 0,
             false => modes(&stiffness, self.module.length()).filter(|(value, _)| *value < 0.0).count() as i32,
         };
-        State {
-            loads,
-            unknowns,
-            stiffness,
-            by_pressure,
-            unstable_rods,
-            unstable_plate,
-            energy,
-            clearance,
-            iterations,
-        }
+        State { loads, unknowns, stiffness, by_pressure, unstable_rods, unstable_plate, energy, clearance, iterations }
     }
 }
 

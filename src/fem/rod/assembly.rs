@@ -127,9 +127,7 @@ impl Assembly {
         let n = STRAINS * modes;
         self.n = n;
         (self.energy, self.energy_by_pressure) = (0.0, 0.0);
-        for (vector, length) in
-            [(&mut self.internal, n), (&mut self.by_pressure, n), (&mut self.hessian, n * n)]
-        {
+        for (vector, length) in [(&mut self.internal, n), (&mut self.by_pressure, n), (&mut self.hessian, n * n)] {
             vector.clear();
             vector.resize(length, 0.0);
         }
@@ -155,8 +153,8 @@ impl Assembly {
             let x = strain(phi, q);
             let (k, g) = (x.re.xy() - rest_curvature, x.du.xy());
             let jet = isobar.jet(x.du.z, x.re.z)?;
-            self.energy += weight
-                * (jet.value + 0.5 * ei * k.norm_squared() + 0.5 * ga * g.norm_squared() + c * k.dot(&g));
+            self.energy +=
+                weight * (jet.value + 0.5 * ei * k.norm_squared() + 0.5 * ga * g.norm_squared() + c * k.dot(&g));
             self.energy_by_pressure += weight
                 * (jet.gradient.z + 0.5 * ei_p * k.norm_squared() + 0.5 * ga_p * g.norm_squared() + c_p * k.dot(&g));
             let (bend, shear) = (k * ei + g * c, g * ga + k * c);

@@ -1,0 +1,25 @@
+//! `freerig plan`: what to command, and what to build.
+
+mod design;
+
+use super::{Context, Failure};
+
+/// What `freerig plan` takes.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    /// Which FREE to build: rotation, extension, force and moment of many designs
+    Design(design::Args),
+}
+
+/// Plans.
+pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
+    match args.what {
+        What::Design(args) => design::run(args, context),
+    }
+}

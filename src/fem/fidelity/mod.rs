@@ -1,0 +1,192 @@
+//! Which model a scene needs: the same question to every tier, and the cheapest one that answers it well enough.
+//!
+//! A [`Scene`] is one straight FREE at pressures, free or blocked. Its tiers, from cheap to dear:
+//!
+//! | tier | what it is | what it leaves out |
+//! | --- | --- | --- |
+//! | linear | closed-form section law ([`super::linear`]) | finite strain, discrete fibres, end effects |
+//! | nonlinear | lumped equations with inextensible fibres and the law's ke and kt | the same but the fibres' turning |
+//! | section | helical generalised plane strain ([`super::section`]) | end effects |
+//! | solid | three-dimensional ([`super::solid`]) | |
+//!
+//! Two errors are told apart. The **discretisation error** is what the mesh of the tier leaves: estimated from a
+//! second mesh, zero of a closed form. The **model error** is what the tier leaves out, estimated against the next one
+//! up that has it: linear and nonlinear against the section, the section against the solid. End effects go with one
+//! over the length: a FREE half as long has twice of them, so the difference between a coarse solid and one of half
+//! its length is the estimate, in which most of their mesh's error cancels.
+//!
+//! Errors are relative, the largest over the pressures, and measured in what the ends leave open: of a free FREE
+//! `hypot(d stretch, Ro d twist)` over the largest `hypot(stretch - 1, Ro twist)`, of a blocked one
+//! `hypot(d F, d M / Ro)` over the largest `hypot(F, M / Ro)`. Where one has an equilibrium and the other has none, the
+//! error is infinite.
+
+mod choice;
+mod error;
+mod tiers;
+
+pub use choice::{Choice, Considered, choose};
+pub use error::FidelityError;
+pub use tiers::{ask, model_error};
+
+use super::ends::Ends;
+use super::tube::Tube;
+
+/// A tier of the ladder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Fidelity {
+    /// Closed-form linear section law.
+    Linear,
+    /// Lumped equations with the fibres' kinematics.
+    Nonlinear,
+    /// Section with discrete fibres.
+    Section,
+    /// Three-dimensional solid.
+    Solid,
+}
+
+impl Fidelity {
+    /// Name on the command line and in JSON.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Fidelity::Linear => "linear",
+            Fidelity::Nonlinear => "nonlinear",
+            Fidelity::Section => "section",
+            Fidelity::Solid => "solid",
+        }
+    }
+}
+
+/// How the end of a single FREE is held.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hold {
+    /// Closed and free to move.
+    Free,
+    /// Closed and kept where it was at rest.
+    Blocked,
+}
+
+impl Hold {
+    /// As the solvers take it.
+    pub fn ends(self) -> Ends {
+        match self {
+            Hold::Free => Ends::FREE,
+            Hold::Blocked => Ends::BLOCKED,
+        }
+    }
+}
+
+/// One straight FREE at some pressures. SI units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// The tube.
+    pub tube: Tube,
+    /// Its length at rest, m.
+    pub length: f64,
+    /// How its end is held.
+    pub hold: Hold,
+    /// Gauge pressures, Pa, negative allowed.
+    pub pressures: Vec<f64>,
+}
+
+/// A state at rest. SI units; twist and stretch are means over the reference length, force and moment are what the
+/// FREE does to its distal support.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rest {
+    /// rad/m.
+    pub twist: f64,
+    /// 1 at rest.
+    pub stretch: f64,
+    /// Outer radius averaged over the reference circumference (of a solid: at mid-length), m.
+    pub outer_radius_mean: f64,
+    /// Outer radius in the middle of a fibre, m; none where the tier does not tell it apart.
+    pub outer_radius_at_fiber: Option<f64>,
+    /// N.
+    pub force: f64,
+    /// N m.
+    pub moment: f64,
+}
+
+/// One pressure of an answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// Gauge pressure, Pa.
+    pub pressure: f64,
+    /// The equilibrium; none past a limit.
+    pub rest: Option<Rest>,
+}
+
+/// Where the path of stable equilibria from rest ends.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Limit {
+    /// Gauge pressure, Pa.
+    pub pressure: f64,
+    /// What happens there.
+    pub reason: String,
+}
+
+/// What a tier says of a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Answer {
+    /// The tier.
+    pub fidelity: Fidelity,
+    /// One for each pressure of the scene, in its order.
+    pub points: Vec<Point>,
+    /// The limit towards the highest pressure, or, where no pressure is positive, the lowest.
+    pub limit: Option<Limit>,
+    /// Estimated relative error of the tier's discretisation.
+    pub discretisation_error: f64,
+}
+
+/// Relative difference of `points` from `reference`, as the module's theory has it. Zero where nothing moves.
+pub fn difference(points: &[Point], reference: &[Point], scene: &Scene) -> f64 {
+    let radius = scene.tube.outer_radius();
+    let measure = |rest: &Rest| match scene.hold {
+        Hold::Free => (rest.stretch - 1.0, radius * rest.twist),
+        Hold::Blocked => (rest.force, rest.moment / radius),
+    };
+    let (mut largest, mut scale) = (0.0_f64, 0.0_f64);
+    for (point, reference) in points.iter().zip(reference) {
+        match (&point.rest, &reference.rest) {
+            (Some(rest), Some(reference)) => {
+                let (a, b) = (measure(rest), measure(reference));
+                largest = largest.max((a.0 - b.0).hypot(a.1 - b.1));
+                scale = scale.max(b.0.hypot(b.1));
+            }
+            (None, None) => {}
+            _ => return f64::INFINITY,
+        }
+    }
+    if largest == 0.0 { 0.0 } else { largest / scale }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(pressure: f64, rest: Option<(f64, f64)>) -> Point {
+        let rest = rest.map(|(stretch, twist)| Rest {
+            twist,
+            stretch,
+            outer_radius_mean: 5e-3,
+            outer_radius_at_fiber: None,
+            force: 0.0,
+            moment: 0.0,
+        });
+        Point { pressure, rest }
+    }
+
+    #[test]
+    fn a_difference_is_relative_to_the_largest_motion_and_infinite_where_one_has_no_equilibrium() {
+        let tube = Tube::reference(0.7);
+        let radius = tube.outer_radius();
+        let scene = Scene { tube, length: 0.13, hold: Hold::Free, pressures: vec![1e4, 2e4] };
+        let reference = [point(1e4, Some((1.1, 0.0))), point(2e4, Some((1.2, 0.0)))];
+        let off = [point(1e4, Some((1.1, 0.02 / radius))), point(2e4, Some((1.2, 0.0)))];
+        assert!((difference(&off, &reference, &scene) - 0.1).abs() < 1e-12);
+        assert_eq!(difference(&reference, &reference, &scene), 0.0);
+        let ended = [off[0], point(2e4, None)];
+        assert_eq!(difference(&ended, &reference, &scene), f64::INFINITY);
+        let nothing = [point(0.0, Some((1.0, 0.0)))];
+        assert_eq!(difference(&nothing, &nothing, &scene), 0.0);
+    }
+}

@@ -1,0 +1,241 @@
+//! The tiers' answers to a scene.
+
+use super::{Answer, Fidelity, FidelityError, Limit, Point, Rest, Scene, difference};
+use crate::fem::ends::Equilibrium;
+use crate::fem::linear::LinearSection;
+use crate::fem::section::{SectionError, curve_within};
+use crate::fem::solid::{self, PathEnd, Solid, SolidEquilibrium, Tip};
+use crate::fem::tube::Tube;
+use crate::model::{EquilibriumError, Free, Kinematics, Law, Load, Lumped};
+use crate::units::PASCAL_PER_PSI;
+
+/// Mass and inertia of the end in the lumped equations, kg and kg m2: at rest only its weight counts, and a scene has
+/// none.
+const NOTHING: f64 = 1e-12;
+/// Relative discretisation error asked of the section where nothing else is asked.
+const SECTION_TOLERANCE: f64 = 5e-3;
+
+impl Scene {
+    /// Checks what no tier can do without.
+    pub(super) fn validated(&self) -> Result<(), FidelityError> {
+        let tube = self.tube.validated()?;
+        let least = 2.0 * tube.outer_radius();
+        if !(self.length >= least && self.length.is_finite()) {
+            return Err(FidelityError::Length { length: self.length, least });
+        }
+        match self.pressures.iter().find(|p| !p.is_finite()) {
+            Some(&pressure) => Err(FidelityError::Pressure(pressure)),
+            None => Ok(()),
+        }
+    }
+
+    /// Indices of the pressures from zero up, and from zero down: the ways from rest.
+    fn ways(&self) -> [Vec<usize>; 2] {
+        let way = |negative: bool| {
+            let mut way: Vec<usize> = (0..self.pressures.len()).collect();
+            way.retain(|&i| (self.pressures[i] < 0.0) == negative);
+            way.sort_by(|&a, &b| self.pressures[a].abs().total_cmp(&self.pressures[b].abs()));
+            way
+        };
+        [way(false), way(true)]
+    }
+}
+
+/// What `fidelity` says of `scene`.
+///
+/// # Errors
+/// Where the scene is none, or the tier fails otherwise than at a limit.
+pub fn ask(scene: &Scene, fidelity: Fidelity) -> Result<Answer, FidelityError> {
+    scene.validated()?;
+    match fidelity {
+        Fidelity::Linear => linear(scene),
+        Fidelity::Nonlinear => nonlinear(scene),
+        Fidelity::Section => section(scene, SECTION_TOLERANCE),
+        Fidelity::Solid => solid(scene),
+    }
+}
+
+/// Estimated relative model error of `answer`, as the module's theory has it; none of the solid, which leaves nothing
+/// out, and of line fibres, which have no section to be compared with.
+///
+/// # Errors
+/// As [`ask`].
+pub fn model_error(scene: &Scene, answer: &Answer) -> Result<Option<f64>, FidelityError> {
+    match answer.fidelity {
+        Fidelity::Solid => Ok(None),
+        _ if scene.tube.fiber_width == 0.0 => Ok(None),
+        Fidelity::Section => end_effects(scene).map(Some),
+        Fidelity::Linear | Fidelity::Nonlinear => {
+            let section = section(scene, SECTION_TOLERANCE)?;
+            Ok(Some(difference(&answer.points, &section.points, scene)))
+        }
+    }
+}
+
+/// Relative part of the ends in the scene's answer.
+pub(super) fn end_effects(scene: &Scene) -> Result<f64, FidelityError> {
+    let half = Scene { length: 0.5 * scene.length, ..scene.clone() };
+    let mesh = coarse(&scene.tube);
+    let (points, _) = path(scene, &mesh)?;
+    let (shorter, _) = path(&half, &mesh)?;
+    Ok(common_difference(&shorter, &points, scene))
+}
+
+/// [`difference`] over the pressures at which both have an equilibrium: a limit moves a little with mesh and length.
+fn common_difference(points: &[Point], reference: &[Point], scene: &Scene) -> f64 {
+    let both = points.iter().zip(reference).filter(|(a, b)| a.rest.is_some() && b.rest.is_some());
+    let (points, reference): (Vec<Point>, Vec<Point>) = both.map(|(a, b)| (*a, *b)).unzip();
+    difference(&points, &reference, scene)
+}
+
+fn empty(scene: &Scene) -> Vec<Point> {
+    scene.pressures.iter().map(|&pressure| Point { pressure, rest: None }).collect()
+}
+
+fn linear(scene: &Scene) -> Result<Answer, FidelityError> {
+    let law = LinearSection::new(&scene.tube)?;
+    let points = scene.pressures.iter().map(|&pressure| {
+        let rest = Some(Rest::from(&law.solve(pressure, scene.hold.ends())));
+        Point { pressure, rest }
+    });
+    Ok(Answer { fidelity: Fidelity::Linear, points: points.collect(), limit: None, discretisation_error: 0.0 })
+}
+
+/// Eqs 1-4 at rest without gravity: inextensible fibres, and the springs of the linear section law.
+fn nonlinear(scene: &Scene) -> Result<Answer, FidelityError> {
+    let Scene { tube, length, .. } = scene;
+    let springs = LinearSection::new(tube)?.lumped(*length);
+    let free = Free {
+        gamma: tube.gamma,
+        length: *length,
+        radius: tube.outer_radius(),
+        mass: NOTHING,
+        inertia: NOTHING,
+        axial_stiffness: springs.axial,
+        torsional_stiffness: springs.torsional,
+        axial_damping: 0.0,
+        torsional_damping: 0.0,
+    };
+    let lumped = Lumped::new(free, Law::Nonlinear(Kinematics::Exact))?;
+    let mut limit = None;
+    let points = scene.pressures.iter().map(|&pressure| {
+        let (extension, rotation) = match scene.hold {
+            super::Hold::Blocked => (0.0, 0.0),
+            super::Hold::Free => match lumped.equilibrium_at_pressure(pressure, Load::default()) {
+                Ok(found) => (found.extension, found.rotation),
+                Err(error) => {
+                    let at = match &error {
+                        EquilibriumError::RunsAway { last } => last.pressure,
+                        EquilibriumError::Domain(_) => pressure,
+                    };
+                    limit = Some(Limit { pressure: at, reason: error.to_string() });
+                    return Point { pressure, rest: None };
+                }
+            },
+        };
+        let Ok(actuation) = lumped.actuation(extension, rotation) else { return Point { pressure, rest: None } };
+        let rest = Rest {
+            twist: rotation / length,
+            stretch: 1.0 + extension / length,
+            outer_radius_mean: actuation.radius,
+            outer_radius_at_fiber: Some(actuation.radius),
+            force: actuation.force * pressure - springs.axial * extension,
+            moment: actuation.moment * pressure - springs.torsional * rotation,
+        };
+        Point { pressure, rest: Some(rest) }
+    });
+    let points = points.collect();
+    Ok(Answer { fidelity: Fidelity::Nonlinear, points, limit, discretisation_error: 0.0 })
+}
+
+/// The section on a mesh chosen for the relative error `tolerance`.
+pub(super) fn section(scene: &Scene, tolerance: f64) -> Result<Answer, FidelityError> {
+    if scene.tube.fiber_width == 0.0 {
+        return Err(FidelityError::Line);
+    }
+    let mut points = empty(scene);
+    let (mut limit, mut discretisation_error) = (None, 0.0_f64);
+    for way in scene.ways().iter().filter(|way| !way.is_empty()) {
+        let pressures: Vec<f64> = way.iter().map(|&i| scene.pressures[i]).collect();
+        let curve = curve_within(&scene.tube, &pressures, scene.hold.ends(), tolerance)?;
+        discretisation_error = discretisation_error.max(curve.error().unwrap_or(0.0));
+        for (&i, found) in way.iter().zip(curve.points) {
+            match found {
+                Ok(equilibrium) => points[i].rest = Some(Rest::from(&equilibrium)),
+                Err(SectionError::BeyondLimit { limit: at, .. }) => {
+                    // The way up comes first, and is the one that is told.
+                    limit.get_or_insert(Limit { pressure: at.pressure, reason: at.kind.to_string() });
+                }
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+    Ok(Answer { fidelity: Fidelity::Section, points, limit, discretisation_error })
+}
+
+/// The solid on its usual mesh, its discretisation error estimated against the coarse one.
+fn solid(scene: &Scene) -> Result<Answer, FidelityError> {
+    let (points, limit) = path(scene, &solid::Mesh::sector(&scene.tube))?;
+    let (other, _) = path(scene, &coarse(&scene.tube))?;
+    let discretisation_error = common_difference(&other, &points, scene);
+    Ok(Answer { fidelity: Fidelity::Solid, points, limit, discretisation_error })
+}
+
+/// A mesh that is coarse, but fine at the ends.
+fn coarse(tube: &Tube) -> solid::Mesh {
+    let usual = solid::Mesh::sector(tube);
+    solid::Mesh {
+        wall: usual.wall.div_ceil(2),
+        wall_growth: usual.wall_growth * usual.wall_growth,
+        around: usual.around.div_ceil(2),
+        around_growth: usual.around_growth * usual.around_growth,
+        ..usual
+    }
+}
+
+fn path(scene: &Scene, mesh: &solid::Mesh) -> Result<(Vec<Point>, Option<Limit>), FidelityError> {
+    let mut solid = Solid::new(&scene.tube, scene.length, mesh, None)?;
+    let (mut points, mut limit) = (empty(scene), None);
+    for way in scene.ways().iter().filter(|way| !way.is_empty()) {
+        let pressures: Vec<f64> = way.iter().map(|&i| scene.pressures[i]).collect();
+        let path = solid.follow(&Tip::straight(scene.hold.ends()), &pressures)?;
+        for (&i, state) in way.iter().zip(&path.states) {
+            points[i].rest = Some(rest_of(state, scene.length));
+        }
+        match path.end {
+            PathEnd::Reached => {}
+            PathEnd::Limit(pressure) => {
+                limit.get_or_insert(Limit { pressure, reason: "limit point of the pressure".into() });
+            }
+            PathEnd::Stuck(pressure) => {
+                let reason = format!("no further step converges beyond {:.3} psi", pressure / PASCAL_PER_PSI);
+                limit.get_or_insert(Limit { pressure, reason });
+            }
+        }
+    }
+    Ok((points, limit))
+}
+
+fn rest_of(state: &SolidEquilibrium, length: f64) -> Rest {
+    Rest {
+        twist: state.rotation / length,
+        stretch: state.stretch,
+        outer_radius_mean: state.middle_radius,
+        outer_radius_at_fiber: None,
+        force: state.force,
+        moment: state.moment,
+    }
+}
+
+impl From<&Equilibrium> for Rest {
+    fn from(e: &Equilibrium) -> Rest {
+        Rest {
+            twist: e.twist,
+            stretch: e.stretch,
+            outer_radius_mean: e.outer_radius_mean,
+            outer_radius_at_fiber: Some(e.outer_radius_at_fiber),
+            force: e.force,
+            moment: e.moment,
+        }
+    }
+}
