@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 
 use freerig::fem::ends::{End, Ends};
 use freerig::fem::material::Law;
-use freerig::fem::section::{Bending, Mesh, Section};
+use freerig::fem::section::{Bending, LimitKind, Mesh, Section};
 use freerig::fem::tube::Tube;
 use freerig::units::PASCAL_PER_PSI as PSI;
 
@@ -79,4 +79,18 @@ fn the_fibres_width_moves_ei_by_a_few_per_cent() {
             }
         }
     }
+}
+
+#[test]
+fn a_bare_ring_collapses_at_the_classical_pressure() {
+    // Levy: 3 E I / R^3 per length in plane strain is mu (wall / R)^3 for an incompressible ring; thin to first order.
+    let tube =
+        Tube { fiber_ea: 0.0, wall: 0.03 * 4.76e-3, law: Law::NeoHookean { mu: 0.393e6 }, ..Tube::reference(0.7) };
+    let radius = tube.inner_radius + 0.5 * tube.wall;
+    let classical = 0.393e6 * (tube.wall / radius).powi(3);
+    let section = Section::new(&tube, Mesh::Counted { radial: 1, strip: 1, gap: 4, growth: 1.0 }).unwrap();
+    let limit = section.limit_pressure(Ends::BLOCKED, -2.0 * classical).unwrap().unwrap();
+    assert_eq!(limit.kind, LimitKind::Waves(2));
+    // Suction acts on the inner surface: the ring's radius is uncertain by half a wall, 1.5 %, three times over.
+    assert!((-limit.pressure / classical - 1.0).abs() < 0.045, "{} for {classical}", limit.pressure);
 }
