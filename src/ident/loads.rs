@@ -16,7 +16,8 @@
 //! ```
 //!
 //! linear in y0, 1/k, b/k and the half-width h of what hysteresis is left. Each pressure is fitted by itself as well,
-//! with the b of all: whether k varies with the pressure is told with an uncertainty.
+//! with the b of all: whether k varies with the pressure is told with an uncertainty. What the pressures differ by beyond
+//! their own uncertainties is in that of k: then the geometry is not quite the FREE's.
 
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
@@ -150,7 +151,7 @@ pub fn fit_loads(points: &[LoadPoint]) -> Result<LoadFit, LoadError> {
         .collect();
     let fitted = (0..points.len()).map(|i| (borne(i), all.fitted[i])).collect();
     Ok(LoadFit {
-        stiffness,
+        stiffness: Measured { uncertainty: stiffness.uncertainty.hypot(spread(&own, stiffness.value)), ..stiffness },
         actuation_factor: factor,
         hysteresis: all.measured(2),
         residual: all.variance.sqrt(),
@@ -197,6 +198,13 @@ fn variation(own: &[(f64, Measured)], stiffness: f64) -> Option<Measured> {
         uncertainty: high.uncertainty.hypot(low.uncertainty) / stiffness,
         freedom: high.freedom.min(low.freedom),
     })
+}
+
+/// What the pressures differ by beyond their own uncertainties, as a standard uncertainty: the greatest deviation is the
+/// half-width of a uniform distribution.
+fn spread(own: &[(f64, Measured)], stiffness: f64) -> f64 {
+    let beyond = |(_, k): &(f64, Measured)| ((k.value - stiffness).powi(2) - k.uncertainty.powi(2)).max(0.0);
+    (own.iter().map(beyond).fold(0.0, f64::max) / 3.0).sqrt()
 }
 
 /// A linear fit with its covariance.
