@@ -174,7 +174,7 @@ fn arming_asks_whether_the_calibration_fits_the_rig() {
     let folder = bench();
     let file = folder.path().join("calibration/paper.toml");
     let conditions = format!(
-        "{}\n[conditions.{KT}]\npressure_psi = [0.0, 6.0]\nangle_deg = [-0.5, 85.0]\nwinding_angle_deg = -40.0\n\
+        "{}\n[conditions.{KT}]\npressure_psi = [0.0, 6.0]\nangle_deg = [-0.5, 65.0]\nwinding_angle_deg = -40.0\n\
          length_mm = 110.0\nfiber_radius_mm = 7.0\nregulator = \"alicat A on line\"\ncycles = 10\n",
         fs::read_to_string(&file)
             .unwrap()
@@ -202,7 +202,7 @@ fn arming_asks_whether_the_calibration_fits_the_rig() {
     );
     edit(&path, "soft_angle_deg = [-120, 120]", "soft_angle_deg = [-120, 140]");
     let wide = check("2026-02-01", 10);
-    assert!(wide.warnings.concat().contains("measured up to 85 deg") && wide.refusals.is_empty(), "{wide:?}");
+    assert!(wide.warnings.concat().contains("measured up to 65 deg") && wide.refusals.is_empty(), "{wide:?}");
     edit(&path, "unit = \"A\"", "unit = \"B\"");
     assert!(check("2026-02-01", 10).warnings.concat().contains("alicat B on line"));
     // Another radius is another FREE: 3 % are 9 % in kt.

@@ -6,8 +6,8 @@
 //! | the regulator, for the zero and span of an analogue one | refuses: the pressure behind a code is not known |
 //! | the regulator, for everything else | warns |
 //! | the IMU | warns (one whose saved profile is of another sensor is refused by its driver) |
-//! | `soft_angle_deg` goes half as far again as the angles that it was measured over | warns |
-//! | `max_pressure_psi` is more than twice the pressure that it was measured up to | warns |
+//! | `soft_angle_deg` goes more than twice as far as the angles that it was measured over | warns |
+//! | `max_pressure_psi` is more than three times the pressure that it was measured up to | warns |
 //! | 1000 pressure cycles | warns |
 //! | half a year | warns; age alone never refuses |
 
@@ -22,10 +22,11 @@ use crate::units::{Angle, Pressure};
 
 /// A change of the geometry that matters: 1 % in the radius is 3 % in kt.
 const GEOMETRY: f64 = 0.01;
-/// How far beyond the angles that were measured the soft envelope may go. A staircase goes to 70 % of it.
-const ANGLE: f64 = 1.5;
+/// How far beyond the angles that were measured the soft envelope may go. A staircase goes to where 70 % of it are
+/// expected, and a FREE may be a third stiffer than it was believed to be.
+const ANGLE: f64 = 2.0;
 /// How far beyond the pressures that were measured the highest one may be.
-const PRESSURE: f64 = 2.0;
+const PRESSURE: f64 = 3.0;
 /// Days after which a value is old.
 const DAYS: i32 = 183;
 /// Pressure cycles after which the rubber is another one.

@@ -3,19 +3,21 @@
 //! At rest the spring bears what is hung on it and what the pressure does,
 //!
 //! ```text
-//! k (y - y0) = F + b P a(y) - m        y: length or angle, F: known load, m: known hysteresis
+//! k (y - y0) = F + b (P a(y) - m)      y: length or angle, F: known load, m: known hysteresis
 //! ```
 //!
 //! with a(y), force or moment per pressure, from the fibre kinematics (3.1). Its scale depends on the fibres' radius
 //! and winding angle (a torque on the cube of the radius), so it is not believed: the factor b is fitted where there are
-//! several pressures. What is read with an error is y, so y is fitted by the loads,
+//! several pressures. The hysteresis has been found by steps of pressure, in the same scale. What is read with an error
+//! is y, so y is fitted by the loads,
 //!
 //! ```text
-//! y = y0 + F'/k + (b/k) P a + h d      F' = F - m, d = +1 loading, -1 unloading, 0 at the first point of a pressure
+//! y = y0 + F/k + (b/k) (P a - m) + h d         d = +1 loading, -1 unloading, 0 at the first point of a pressure
 //! ```
 //!
 //! linear in y0, 1/k, b/k and the half-width h of what hysteresis is left. Each pressure is fitted by itself as well,
-//! with the b of all: whether k varies with the pressure is told with an uncertainty.
+//! with the b of all: whether k varies with the pressure is told with an uncertainty. What the pressures differ by beyond
+//! their own uncertainties is in that of k: then the geometry is not quite the FREE's.
 
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
@@ -42,7 +44,7 @@ pub struct LoadPoint {
     pub pressure: f64,
     /// Force or moment per pressure at this reading, N/Pa or N m/Pa.
     pub actuation: f64,
-    /// Known hysteresis, N or N m: what is not the spring's of what is borne.
+    /// Known hysteresis, N or N m, in the scale of `actuation`: what is not the spring's of what is borne.
     pub hysteresis: f64,
 }
 
@@ -121,13 +123,14 @@ pub fn fit_loads(points: &[LoadPoint]) -> Result<LoadFit, LoadError> {
             }
         }
     }
-    let pressed = |i: usize| points[i].pressure * points[i].actuation;
-    let known = |i: usize| points[i].load - points[i].hysteresis;
+    let pressed = |i: usize| points[i].pressure * points[i].actuation - points[i].hysteresis;
     // y0, 1/k, h and, with several pressures, b/k.
     let scaled = usize::from(groups.len() > 1);
     let columns = DMatrix::from_fn(points.len(), 3 + scaled, |i, j| match j {
         0 => 1.0,
-        1 => known(i),
+        // With one pressure b is one.
+        1 if scaled == 0 => points[i].load + pressed(i),
+        1 => points[i].load,
         2 => directions[i],
         _ => pressed(i),
     });
@@ -135,7 +138,7 @@ pub fn fit_loads(points: &[LoadPoint]) -> Result<LoadFit, LoadError> {
     let stiffness = all.stiffness()?;
     let factor = (scaled == 1).then(|| all.factor());
     let b = factor.map_or(1.0, |b| b.value);
-    let borne = |i: usize| known(i) + b * pressed(i);
+    let borne = |i: usize| points[i].load + b * pressed(i);
     let own: Vec<_> = groups
         .iter()
         .filter_map(|group| {
@@ -148,7 +151,7 @@ pub fn fit_loads(points: &[LoadPoint]) -> Result<LoadFit, LoadError> {
         .collect();
     let fitted = (0..points.len()).map(|i| (borne(i), all.fitted[i])).collect();
     Ok(LoadFit {
-        stiffness,
+        stiffness: Measured { uncertainty: stiffness.uncertainty.hypot(spread(&own, stiffness.value)), ..stiffness },
         actuation_factor: factor,
         hysteresis: all.measured(2),
         residual: all.variance.sqrt(),
@@ -195,6 +198,13 @@ fn variation(own: &[(f64, Measured)], stiffness: f64) -> Option<Measured> {
         uncertainty: high.uncertainty.hypot(low.uncertainty) / stiffness,
         freedom: high.freedom.min(low.freedom),
     })
+}
+
+/// What the pressures differ by beyond their own uncertainties, as a standard uncertainty: the greatest deviation is the
+/// half-width of a uniform distribution.
+fn spread(own: &[(f64, Measured)], stiffness: f64) -> f64 {
+    let beyond = |(_, k): &(f64, Measured)| ((k.value - stiffness).powi(2) - k.uncertainty.powi(2)).max(0.0);
+    (own.iter().map(beyond).fold(0.0, f64::max) / 3.0).sqrt()
 }
 
 /// A linear fit with its covariance.

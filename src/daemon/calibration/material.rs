@@ -40,6 +40,9 @@ pub struct LawRow {
     pub rmsd_percent: f64,
 }
 
+/// Largest RMSD of Ogden's law as a share of the measured range: what is above it is another quantity, or another unit.
+const RMSD_MAX: f64 = 0.15;
+
 /// What the tests of `material` say of the FREE of `calibration`, and the laws by their RMSD; `date` is today's.
 ///
 /// # Errors
@@ -52,6 +55,21 @@ pub fn evaluate(
     let tensile = tensile(material)?;
     let inflation = inflation(material, tensile.as_ref())?;
     let fiber = fiber(material)?;
+    let sound = |fit: &LawFit, file: String| match fit.rmsd_share {
+        share if share > RMSD_MAX => Err(CalibrationError::Material(format!(
+            "{file}: even Ogden's law leaves {:.0} % of the range over (at most {:.0} % may be): are units, section, lengths \
+             and the tube right?",
+            100.0 * share,
+            100.0 * RMSD_MAX
+        ))),
+        _ => Ok(()),
+    };
+    if let Some(fit) = &tensile {
+        sound(&fit.ogden, files(&material.tensile))?;
+    }
+    if let (Some(fit), Some((test, ..))) = (&inflation, &material.inflation) {
+        sound(&fit.ogden, test.file.display().to_string())?;
+    }
     let mut batch = Batch { calibration: calibration.clone(), date, values: Vec::new() };
     if let Some(fit) = &tensile {
         let names = material.tensile.iter().map(Test::source).collect::<Vec<_>>().join(", ");
@@ -132,6 +150,10 @@ impl Batch<'_> {
 
 fn value(key: &'static str, found: Measured) -> FoundValue {
     FoundValue { key, before: None, value: found.value, standard_uncertainty: found.uncertainty, prediction: None }
+}
+
+fn files<P>(tests: &[Test<P>]) -> String {
+    tests.iter().map(|test| test.file.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
 fn unfit<P>(test: &Test<P>, line: Option<usize>, error: &dyn std::fmt::Display) -> CalibrationError {
