@@ -100,7 +100,7 @@ fn a_plate_hangs_and_its_weight_stretches_the_rods() {
 
 #[test]
 fn case_1_buckles_in_two_modes_where_the_torque_is_two_pi_ei_over_l() {
-    let m = module(60.0, 0.0, 0.0);
+    let m = module(60.0, 0.0, 0.0).with_resolution(Resolution { degree: 7, steps: 12 }).unwrap();
     let rest = m.equilibrium(&case(1, 0.0)).unwrap();
     let mut path = Path::new(&m, &rest, &case(1, 10.0), 0.05).unwrap();
     let critical = path.next_critical((-0.01, 1.0)).unwrap().unwrap();
@@ -112,9 +112,14 @@ fn case_1_buckles_in_two_modes_where_the_torque_is_two_pi_ei_over_l() {
     let torque = |p: f64| (p * (s.actuation.y - s.stiffness[(0, 1)] * s.actuation.x / s.stiffness[(0, 0)])).abs();
     let pressure = 10.0 * PSI * critical.mu;
     let unit = 2.0 * PI * bending(60.0).at(pressure) / LENGTH;
-    assert!((torque(pressure) / unit - 1.0).abs() < 2e-3, "{} {}", torque(pressure), unit);
-    // With the section's own law it is about 7.9 psi, 10 % of EI being 1.1 psi; the linear law's torque is 4 % larger.
-    assert!((7.0..9.0).contains(&(10.0 * critical.mu)), "{}", critical.mu);
+    assert!((torque(pressure) / unit - 1.0).abs() < 1e-3, "{} {}", torque(pressure), unit);
+    // The usual resolution finds it to 1 % of the torque.
+    let usual = m.with_resolution(Resolution::DEFAULT).unwrap();
+    let rest = usual.equilibrium(&case(1, 0.0)).unwrap();
+    let found = Path::new(&usual, &rest, &case(1, 10.0), 0.05).unwrap().next_critical((-0.01, 1.0)).unwrap().unwrap();
+    let pressure = 10.0 * PSI * found.mu;
+    let unit = 2.0 * PI * bending(60.0).at(pressure) / LENGTH;
+    assert!((torque(pressure) / unit - 1.0).abs() < 0.012, "{}", torque(pressure) / unit);
     // The path's own state has no sideways motion, so nothing but the inertia tells: K's determinant is positive on
     // both sides.
     assert!(critical.point.state.stiffness().determinant() > 0.0 && path.point().state.stiffness().determinant() > 0.0);
@@ -127,8 +132,13 @@ fn case_1_buckles_in_two_modes_where_the_torque_is_two_pi_ei_over_l() {
 
 #[test]
 fn a_blocked_free_of_60_degrees_buckles_between_4_and_5_psi() {
+    // What the section does to its supports at 1 psi (N, N m), which is proportional to pressure within 3 % up to
+    // 5 psi: the reference section's own values, for the closed form's are a fifth larger.
+    let blocked = Vector2::new(0.1845889, -3.5389752e-3);
+    let straight =
+        Straight::Linear { stiffness: section(60.0).stiffness, actuation: blocked / PSI, volume: 0.0, compliance: 0.0 };
     let law = Law {
-        straight: Straight::closed_form(&section(60.0)),
+        straight,
         bending: bending(60.0),
         shear: Quadratic::constant(5.407),
         coupling: Quadratic::constant(0.0),
@@ -139,7 +149,6 @@ fn a_blocked_free_of_60_degrees_buckles_between_4_and_5_psi() {
     for line in std::fs::read_to_string("tests/reference/blocked_buckling.csv").unwrap().lines().skip(1) {
         let v: Vec<f64> = line.split(',').map(|x| x.parse().unwrap()).collect();
         let state = single.blocked(&[v[2] * PSI]).unwrap();
-        println!("{} {} {:?}", v[2], state.negative_pivots(), state.on_plate(&single, 0));
         assert_eq!(state.stable(), v[5] == 1.0, "{line}");
     }
 }

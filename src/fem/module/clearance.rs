@@ -29,10 +29,7 @@ impl Centreline {
             }
             node.re * v * step
         });
-        Centreline {
-            slopes: slopes.collect(),
-            points: assembly.nodes.iter().map(|node| node.position()).collect(),
-        }
+        Centreline { slopes: slopes.collect(), points: assembly.nodes.iter().map(|node| node.position()).collect() }
     }
 
     fn pieces(&self) -> usize {

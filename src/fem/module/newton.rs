@@ -5,13 +5,15 @@ use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector3, Vector6};
 use super::state::Unknowns;
 use super::{Loads, Module, ModuleError, Mount, State};
 use crate::fem::rod::{
-    Assembly, Condensed, DualMatrix, DualVector, Exponential, Rod, RodError, STRAINS, blocks, half_bracket, moment_force,
-    skew, small_twist, twist, vector6, wrench,
+    Assembly, Condensed, DualMatrix, DualVector, Exponential, Rod, RodError, STRAINS, blocks, half_bracket,
+    moment_force, skew, small_twist, twist, vector6, wrench,
 };
 
 /// A correction below this (strains times length, radians, lengths per length; wrenches in EI / L) ends the iteration:
 /// Newton squares it, so what is left is rounding.
 const CONVERGED: f64 = 1e-7;
+/// The same for a stop on the way, which only has to be a good start for the next.
+const NEARBY: f64 = 1e-3;
 /// Each correction must be below this share of the one before.
 const CONTRACTION: f64 = 0.5;
 /// With that contraction as its slowest pace, an iteration that needs more is not in Newton's own region.
@@ -143,7 +145,8 @@ impl<'a> Solver<'a> {
         loop {
             let next = f64::min(done + piece, 1.0);
             let loads = if next == 1.0 { to.clone() } else { from.towards(to, next) };
-            match self.newton(at.clone(), &loads, &mut iterations) {
+            let tolerance = if next == 1.0 { CONVERGED } else { NEARBY };
+            match self.newton(at.clone(), &loads, tolerance, &mut iterations) {
                 Ok(found) => {
                     let clearance = self.clearance(&found)?;
                     if next == 1.0 {
@@ -164,6 +167,7 @@ impl<'a> Solver<'a> {
         &mut self,
         mut at: Unknowns,
         loads: &Loads,
+        tolerance: f64,
         iterations: &mut usize,
     ) -> Result<Unknowns, Option<ModuleError>> {
         let mut before = f64::INFINITY;
@@ -175,7 +179,7 @@ impl<'a> Solver<'a> {
                 false => linear.stiffness.lu().solve(&linear.residual).ok_or(None)?,
             };
             let Step { size, load } = self.advance(&mut at, &eta, None, 1.0);
-            if size.max(load) < CONVERGED {
+            if size.max(load) < tolerance {
                 return Ok(at);
             }
             if !(size <= f64::max(CONTRACTION * before, CONVERGED) && size < LONGEST) {
@@ -278,17 +282,7 @@ impl<'a> Solver<'a> {
             true => 0,
             false => modes(&stiffness, self.module.length()).filter(|(value, _)| *value < 0.0).count() as i32,
         };
-        State {
-            loads,
-            unknowns,
-            stiffness,
-            by_pressure,
-            unstable_rods,
-            unstable_plate,
-            energy,
-            clearance,
-            iterations,
-        }
+        State { loads, unknowns, stiffness, by_pressure, unstable_rods, unstable_plate, energy, clearance, iterations }
     }
 }
 

@@ -275,7 +275,11 @@ mod tests {
     #[test]
     fn a_quadratic_goes_through_its_points_and_knows_its_slope() {
         let q = Quadratic::through([(0.0, 673.0), (3.5, 909.0), (7.0, 1854.0)]);
-        assert!((q.at(0.0) - 673.0).abs() < 1e-12 && (q.at(3.5) - 909.0).abs() < 1e-12 && (q.at(7.0) - 1854.0).abs() < 1e-12);
+        assert!(
+            (q.at(0.0) - 673.0).abs() < 1e-12
+                && (q.at(3.5) - 909.0).abs() < 1e-12
+                && (q.at(7.0) - 1854.0).abs() < 1e-12
+        );
         assert!(((q.at(2.001) - q.at(1.999)) / 0.002 - q.slope(2.0)).abs() < 1e-9);
     }
 
