@@ -3,10 +3,11 @@
 //! With the closed-form section law, which is that of small pressure: what it can be held to is said at each test.
 
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 use freerig::fem::linear::LinearSection;
 use freerig::fem::module::{Kind, Loads, Module, ModuleError, Mount, Path, State, square};
-use freerig::fem::rod::{Law, Quadratic, Resolution, Rod, Straight};
+use freerig::fem::rod::{Axis, Law, LawError, Quadratic, Resolution, Rod, RodError, Straight, Table};
 use freerig::fem::tube::Tube;
 use freerig::units::PASCAL_PER_PSI as PSI;
 use nalgebra::{Quaternion, UnitQuaternion, Vector2, Vector3};
@@ -64,6 +65,29 @@ fn the_cases_go_the_way_that_the_reference_goes() {
         assert!(got.angle_to(&UnitQuaternion::from_quaternion(wanted)) < 0.35 * 2.0 * turn + 1e-12, "{line}: {got}");
         assert!(state.stable());
     }
+}
+
+#[test]
+fn a_tabulated_law_moves_the_module_as_the_law_itself_does() {
+    let exact = module(60.0, 5.56e-3, 0.0);
+    let closed = exact.mounts()[0].rod.law.clone();
+    let axes = [(0.9, 1.1, 5), (-15.0, 15.0, 6), (0.0, 7.0 * PSI, 5)];
+    let [stretch, twist, pressure] = axes.map(|(from, to, points)| Axis { from, to, points });
+    let table = Table::build(stretch, twist, pressure, |l, t, p| closed.jet(l, t, p).ok()).unwrap();
+    let straight = Straight::Table(Arc::new(table));
+    let mut mounts = exact.mounts().to_vec();
+    for mount in &mut mounts {
+        mount.rod.law.straight = straight.clone();
+    }
+    let tabulated = Module::new(mounts, 0.0, Resolution::DEFAULT).unwrap();
+    let (a, b) = (exact.equilibrium(&case(3, 3.0)).unwrap(), tabulated.equilibrium(&case(3, 3.0)).unwrap());
+    // The closed form is quadratic, which the table holds to rounding.
+    assert!((a.position() - b.position()).norm() < 1e-9 * LENGTH, "{}", a.position() - b.position());
+    // Beyond the table it refuses, with the law's own reason.
+    let Err(ModuleError::Ends { cause: Some(cause), .. }) = tabulated.equilibrium(&case(3, 7.5)) else {
+        panic!("7.5 psi is not tabulated");
+    };
+    assert!(matches!(*cause, ModuleError::Rod { index: 0, cause: RodError::Law(LawError::OutsideTable { .. }) }));
 }
 
 #[test]

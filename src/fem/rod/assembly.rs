@@ -15,7 +15,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::basis::Basis;
-use super::dual::{DualMatrix, DualVector, Exponential, MAX_SQUARED_ANGLE};
+use super::dual::{DualMatrix, DualVector, Exponential, MAX_ANGLE};
 use super::{Rod, RodError};
 
 /// Unknowns of one mode: bending 2, twist, shear 2, stretch (as a dual vector's components).
@@ -78,8 +78,9 @@ impl Assembly {
             let phi = [basis.at(2 * step), basis.at(2 * step + 1)];
             let x = phi.map(|p| strain(p, q));
             let t = (x[0] + x[1]).scaled(0.5 * h) + x[0].cross(&x[1]).scaled(commutator);
-            if !(t.re.norm_squared() <= MAX_SQUARED_ANGLE) {
-                return Err(RodError::TooCoarse { angle: t.re.norm(), steps });
+            let angle = t.re.norm();
+            if angle.is_nan() || angle > MAX_ANGLE {
+                return Err(RodError::TooCoarse { angle, steps });
             }
             let exponential = Exponential::new(t);
             // dt = L1 dx1 + L2 dx2.
@@ -91,24 +92,24 @@ impl Assembly {
             let local = exponential.second_derivative(&g.transpose_apply(wrench));
             let local_by = [local * by[0], local * by[1]];
             let bracket = turn.transpose_apply(wrench).skew();
-            for m in 0..modes {
-                let p = [phi[0][m], phi[1][m]];
+            let pairs = || phi[0].iter().zip(phi[1]).enumerate();
+            for (m, (p, q)) in pairs() {
                 // What all the steps before have turned, and this step's own second derivative.
                 let mut z = turn.transpose_mul(&(wrench_skew * self.jacobian[m]));
-                z.add_scaled(p[0], &local_by[0]);
-                z.add_scaled(p[1], &local_by[1]);
+                z.add_scaled(*p, &local_by[0]);
+                z.add_scaled(*q, &local_by[1]);
                 let mut pulled = [by[0].transpose_mul(&z), by[1].transpose_mul(&z)];
-                pulled[0].add_scaled(-commutator * p[1], &bracket);
-                pulled[1].add_scaled(commutator * p[0], &bracket);
+                pulled[0].add_scaled(-commutator * q, &bracket);
+                pulled[1].add_scaled(commutator * p, &bracket);
                 self.pulled[m] = pulled;
             }
-            for m in 0..modes {
-                let mut u = by[0].scaled(phi[0][m]);
-                u.add_scaled(phi[1][m], &by[1]);
+            for (m, (p, q)) in pairs() {
+                let mut u = by[0].scaled(*p);
+                u.add_scaled(*q, &by[1]);
                 self.jacobian[m] = self.jacobian[m] + turn * u;
                 for (entry, pulled) in self.geometric[m * modes..][..modes].iter_mut().zip(&self.pulled) {
-                    entry.add_scaled(phi[0][m], &pulled[0]);
-                    entry.add_scaled(phi[1][m], &pulled[1]);
+                    entry.add_scaled(*p, &pulled[0]);
+                    entry.add_scaled(*q, &pulled[1]);
                 }
             }
             g = g * exponential.pose();
