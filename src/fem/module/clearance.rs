@@ -105,7 +105,7 @@ fn distance(a: &Centreline, b: &Centreline) -> f64 {
         let ((p, d), (q, e)) = (a.at(s), b.at(t));
         let w = p - q;
         let length = w.norm();
-        if !(length < least - 1e-9) {
+        if length.is_nan() || length >= least - 1e-9 {
             break;
         }
         least = length;

@@ -158,7 +158,7 @@ impl Module {
                 return invalid("a rod's outer radius (m)", rod.outer_radius, "must be finite and not negative");
             }
             let turn = rod.rest_curvature.norm() * rod.length;
-            if !(turn <= 3.0) {
+            if turn.is_nan() || turn > 3.0 {
                 return invalid("a rod's turn at rest (rad)", turn, "must be at most 3");
             }
             if let Some(x) = base.iter().find(|x| !x.is_finite()) {

@@ -1,6 +1,6 @@
 //! Newton's method for the whole module, one 6 x 6 system at a time, and load stepping about it.
 
-use nalgebra::{Matrix3, Matrix6, SymmetricEigen, Vector3, Vector6};
+use nalgebra::{Cholesky, Matrix3, Matrix6, SymmetricEigen, Vector3, Vector6};
 
 use super::state::Unknowns;
 use super::{Loads, Module, ModuleError, Mount, State};
@@ -9,9 +9,10 @@ use crate::fem::rod::{
     moment_force, skew, small_twist, twist, vector6, wrench,
 };
 
-/// A correction below this (strains times length, radians, lengths per length; wrenches in EI / L) ends the iteration:
-/// Newton squares it, so what is left is rounding.
+/// A correction below this (see [`Step::within`]) ends the iteration: Newton squares it, so what is left is rounding.
 const CONVERGED: f64 = 1e-7;
+/// The same for a stop on the way, which only has to be a good start for the next.
+const NEARBY: f64 = 1e-3;
 /// Each correction must be below this share of the one before.
 const CONTRACTION: f64 = 0.5;
 /// With that contraction as its slowest pace, an iteration that needs more is not in Newton's own region.
@@ -28,9 +29,17 @@ pub(super) struct Linear {
 }
 
 /// How large a correction was: motions (strains times length, radians, lengths per length) and wrenches (in EI / L).
+/// Infinite where they are no numbers.
 pub(super) struct Step {
     pub size: f64,
     pub load: f64,
+}
+
+impl Step {
+    /// Motions below `tolerance`; wrenches, which are larger where rods are pulled and not bent, below 100 times that.
+    pub fn within(&self, tolerance: f64) -> bool {
+        self.size < tolerance && self.load < 100.0 * tolerance
+    }
 }
 
 /// Work space for one module.
@@ -143,7 +152,8 @@ impl<'a> Solver<'a> {
         loop {
             let next = f64::min(done + piece, 1.0);
             let loads = if next == 1.0 { to.clone() } else { from.towards(to, next) };
-            match self.newton(at.clone(), &loads, &mut iterations) {
+            let tolerance = if next == 1.0 { CONVERGED } else { NEARBY };
+            match self.newton(at.clone(), &loads, tolerance, &mut iterations) {
                 Ok(found) => {
                     let clearance = self.clearance(&found)?;
                     if next == 1.0 {
@@ -164,6 +174,7 @@ impl<'a> Solver<'a> {
         &mut self,
         mut at: Unknowns,
         loads: &Loads,
+        tolerance: f64,
         iterations: &mut usize,
     ) -> Result<Unknowns, Option<ModuleError>> {
         let mut before = f64::INFINITY;
@@ -174,14 +185,14 @@ impl<'a> Solver<'a> {
                 true => Vector6::zeros(),
                 false => linear.stiffness.lu().solve(&linear.residual).ok_or(None)?,
             };
-            let Step { size, load } = self.advance(&mut at, &eta, None, 1.0);
-            if size.max(load) < CONVERGED {
+            let step = self.advance(&mut at, &eta, None, 1.0);
+            if step.within(tolerance) {
                 return Ok(at);
             }
-            if !(size <= f64::max(CONTRACTION * before, CONVERGED) && size < LONGEST) {
+            if step.size > f64::min(LONGEST, f64::max(CONTRACTION * before, CONVERGED)) {
                 return Err(None);
             }
-            before = size;
+            before = step.size;
         }
         Err(None)
     }
@@ -276,10 +287,18 @@ impl<'a> Solver<'a> {
         let stiffness = shift.tr_mul(&(stiffness * shift));
         let unstable_plate = match self.held {
             true => 0,
-            false => modes(&stiffness, self.module.length()).filter(|(value, _)| *value < 0.0).count() as i32,
+            false => negative_modes(&stiffness, self.module.length()),
         };
         State { loads, unknowns, stiffness, by_pressure, unstable_rods, unstable_plate, energy, clearance, iterations }
     }
+}
+
+/// Negative eigenvalues of the symmetric part of K; Cholesky's factorisation is the fast answer where there are none.
+fn negative_modes(stiffness: &Matrix6<f64>, length: f64) -> i32 {
+    if Cholesky::new((stiffness + stiffness.transpose()) * 0.5).is_some() {
+        return 0;
+    }
+    modes(stiffness, length).filter(|(value, _)| *value < 0.0).count() as i32
 }
 
 /// Eigenvalues (N m) and modes (rotation, translation) of the symmetric part of K, translations measured in `length`.

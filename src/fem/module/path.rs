@@ -9,7 +9,7 @@
 
 use nalgebra::{Matrix3, Matrix6, SMatrix, SVector, Vector6};
 
-use super::newton::{Solver, Step, modes};
+use super::newton::{Solver, modes};
 use super::state::Unknowns;
 use super::{Loads, Module, ModuleError, State};
 use crate::fem::rod::{blocks, skew};
@@ -250,10 +250,10 @@ impl<'a> Path<'a> {
             let Some(change) = lu.solve(&residual) else { return Ok(None) };
             let dp = self.pressures(change[6]);
             let eta = self.shift(&at) * change.fixed_rows::<6>(0);
-            let Step { size, load } = self.solver.advance(&mut at, &eta, Some(&dp), 1.0);
-            let size = size.max(change[6].abs());
+            let mut step = self.solver.advance(&mut at, &eta, Some(&dp), 1.0);
+            step.size = step.size.max(change[6].abs());
             mu += change[6];
-            if size.max(load) < CONVERGED {
+            if step.within(CONVERGED) {
                 let mut unit = Direction::zeros();
                 unit[6] = 1.0;
                 let Some(tangent) = lu.solve(&unit) else { return Ok(None) };
@@ -264,10 +264,10 @@ impl<'a> Path<'a> {
                 let state = self.solver.state(at, loads, clearance, corrections + 1);
                 return Ok(Some((Point { mu, state, tangent }, corrections)));
             }
-            if !(size <= f64::max(0.5 * before, CONVERGED)) {
+            if step.size > f64::max(0.5 * before, CONVERGED) {
                 return Ok(None);
             }
-            before = size;
+            before = step.size;
         }
         Ok(None)
     }

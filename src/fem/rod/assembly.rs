@@ -15,7 +15,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::basis::Basis;
-use super::dual::{DualMatrix, DualVector, Exponential, MAX_SQUARED_ANGLE};
+use super::dual::{DualMatrix, DualVector, Exponential, MAX_ANGLE};
 use super::{Rod, RodError};
 
 /// Unknowns of one mode: bending 2, twist, shear 2, stretch (as a dual vector's components).
@@ -78,8 +78,9 @@ impl Assembly {
             let phi = [basis.at(2 * step), basis.at(2 * step + 1)];
             let x = phi.map(|p| strain(p, q));
             let t = (x[0] + x[1]).scaled(0.5 * h) + x[0].cross(&x[1]).scaled(commutator);
-            if !(t.re.norm_squared() <= MAX_SQUARED_ANGLE) {
-                return Err(RodError::TooCoarse { angle: t.re.norm(), steps });
+            let angle = t.re.norm();
+            if angle.is_nan() || angle > MAX_ANGLE {
+                return Err(RodError::TooCoarse { angle, steps });
             }
             let exponential = Exponential::new(t);
             // dt = L1 dx1 + L2 dx2.
@@ -91,24 +92,24 @@ impl Assembly {
             let local = exponential.second_derivative(&g.transpose_apply(wrench));
             let local_by = [local * by[0], local * by[1]];
             let bracket = turn.transpose_apply(wrench).skew();
-            for m in 0..modes {
-                let p = [phi[0][m], phi[1][m]];
+            let pairs = || phi[0].iter().zip(phi[1]).enumerate();
+            for (m, (p, q)) in pairs() {
                 // What all the steps before have turned, and this step's own second derivative.
                 let mut z = turn.transpose_mul(&(wrench_skew * self.jacobian[m]));
-                z.add_scaled(p[0], &local_by[0]);
-                z.add_scaled(p[1], &local_by[1]);
+                z.add_scaled(*p, &local_by[0]);
+                z.add_scaled(*q, &local_by[1]);
                 let mut pulled = [by[0].transpose_mul(&z), by[1].transpose_mul(&z)];
-                pulled[0].add_scaled(-commutator * p[1], &bracket);
-                pulled[1].add_scaled(commutator * p[0], &bracket);
+                pulled[0].add_scaled(-commutator * q, &bracket);
+                pulled[1].add_scaled(commutator * p, &bracket);
                 self.pulled[m] = pulled;
             }
-            for m in 0..modes {
-                let mut u = by[0].scaled(phi[0][m]);
-                u.add_scaled(phi[1][m], &by[1]);
+            for (m, (p, q)) in pairs() {
+                let mut u = by[0].scaled(*p);
+                u.add_scaled(*q, &by[1]);
                 self.jacobian[m] = self.jacobian[m] + turn * u;
                 for (entry, pulled) in self.geometric[m * modes..][..modes].iter_mut().zip(&self.pulled) {
-                    entry.add_scaled(phi[0][m], &pulled[0]);
-                    entry.add_scaled(phi[1][m], &pulled[1]);
+                    entry.add_scaled(*p, &pulled[0]);
+                    entry.add_scaled(*q, &pulled[1]);
                 }
             }
             g = g * exponential.pose();
@@ -220,5 +221,183 @@ impl Assembly {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{Matrix2, Vector2, Vector6};
+
+    use super::super::basis::{Basis, Resolution};
+    use super::super::condensed::{Condensed, moment_force, twist, vector6};
+    use super::super::law::{Law, Quadratic, Straight};
+    use super::*;
+
+    const PRESSURE: f64 = 0.7;
+
+    /// A coupled law of numbers of order one.
+    fn rod() -> Rod {
+        let stiffness = Matrix2::new(3.0, 0.4, 0.4, 0.7);
+        let actuation = Vector2::new(0.2, -0.3);
+        let law = Law {
+            straight: Straight::Linear { stiffness, actuation, volume: 0.2, compliance: 0.1 },
+            bending: Quadratic::through([(0.0, 1.0), (1.0, 1.5), (2.0, 2.2)]),
+            shear: Quadratic::through([(0.0, 2.0), (1.0, 2.1), (2.0, 2.0)]),
+            coupling: Quadratic::through([(0.0, 0.2), (1.0, 0.3), (2.0, 0.5)]),
+            mirrored: true,
+        };
+        Rod { length: 1.3, law, rest_curvature: Vector2::new(0.1, -0.2), outer_radius: 0.0 }
+    }
+
+    fn basis() -> Basis {
+        Basis::new(Resolution { degree: 2, steps: 3 })
+    }
+
+    fn base() -> DualMatrix {
+        let screw = DualVector { re: Vector3::new(0.3, -0.2, 0.5), du: Vector3::new(0.4, 0.1, -0.6) };
+        Exponential::new(screw).pose()
+    }
+
+    /// Numbers without a pattern, within +-size.
+    fn vector(seed: f64, size: f64, n: usize) -> Vec<f64> {
+        (0..n).map(|i| size * (seed + 1.7 * i as f64 + 0.3 * (i * i) as f64).sin()).collect()
+    }
+
+    fn wrench() -> DualVector {
+        DualVector { re: Vector3::new(0.3, -0.5, 0.4), du: Vector3::new(-0.2, 0.6, 0.1) }
+    }
+
+    fn at(q: &[f64], w: &DualVector, pressure: f64) -> Assembly {
+        let mut a = Assembly::default();
+        a.fill(&rod(), &basis(), &base(), pressure, q, w).unwrap();
+        a
+    }
+
+    fn along(q: &[f64], d: &[f64], s: f64) -> Vec<f64> {
+        q.iter().zip(d).map(|(q, d)| q + s * d).collect()
+    }
+
+    fn dot(a: &[f64], b: &[f64]) -> f64 {
+        a.iter().zip(b).map(|(a, b)| a * b).sum()
+    }
+
+    /// `J d`.
+    fn turned(a: &Assembly, d: &[f64]) -> DualVector {
+        let mut sum = DualVector::ZERO;
+        for (j, d) in a.jacobian.iter().zip(d.chunks_exact(STRAINS)) {
+            sum += j.apply(&DualVector { re: Vector3::new(d[0], d[1], d[2]), du: Vector3::new(d[3], d[4], d[5]) });
+        }
+        sum
+    }
+
+    fn hessian_times(a: &Assembly, d: &[f64]) -> Vec<f64> {
+        let entry = |i: usize, j: usize| a.hessian[i.min(j) * a.n + i.max(j)];
+        (0..a.n).map(|i| (0..a.n).map(|j| entry(i, j) * d[j]).sum()).collect()
+    }
+
+    /// `dU/dq - J^T W` along `d`.
+    fn residual(a: &Assembly, w: &DualVector, d: &[f64]) -> f64 {
+        dot(&a.internal, d) - w.work(&turned(a, d))
+    }
+
+    /// Asserts that the remainders after halving the step fall by 2^order.
+    #[track_caller]
+    fn slope(order: i32, remainder: impl Fn(f64) -> f64) {
+        let ratio = remainder(2e-3) / remainder(1e-3);
+        assert!((ratio.abs().log2() - f64::from(order)).abs() < 0.05, "{ratio}");
+    }
+
+    #[test]
+    fn the_energys_gradient_and_hessian_leave_taylors_remainders() {
+        let (q, d) = (vector(0.2, 0.4, 18), vector(1.1, 1.0, 18));
+        let a = at(&q, &DualVector::ZERO, PRESSURE);
+        let energy = |s: f64| at(&along(&q, &d, s), &DualVector::ZERO, PRESSURE).energy;
+        // This law is quadratic in q: its second-order expansion is exact.
+        let expanded = |s: f64| a.energy + s * dot(&a.internal, &d) + 0.5 * s * s * dot(&d, &hessian_times(&a, &d));
+        assert!((energy(0.1) - expanded(0.1)).abs() < 1e-13);
+        // By pressure, and mixed.
+        let e = 1e-4;
+        let [low, high] = [-e, e].map(|s| at(&q, &DualVector::ZERO, PRESSURE + s));
+        assert!(((high.energy - low.energy) / (2.0 * e) - a.energy_by_pressure).abs() < 1e-8);
+        for i in 0..a.n {
+            assert!(((high.internal[i] - low.internal[i]) / (2.0 * e) - a.by_pressure[i]).abs() < 1e-8);
+        }
+    }
+
+    #[test]
+    fn the_tips_jacobian_leaves_a_remainder_of_second_order() {
+        let (q, d) = (vector(0.2, 0.4, 18), vector(1.1, 1.0, 18));
+        let a = at(&q, &DualVector::ZERO, PRESSURE);
+        slope(2, |s| {
+            let moved = at(&along(&q, &d, s), &DualVector::ZERO, PRESSURE).tip();
+            let twist = super::super::dual::small_twist(&a.tip(), &moved) - turned(&a, &d).scaled(s);
+            twist.re.norm() + twist.du.norm()
+        });
+    }
+
+    #[test]
+    fn the_hessian_less_half_the_bracket_leaves_a_remainder_of_second_order() {
+        let (q, d, other) = (vector(0.2, 0.4, 18), vector(1.1, 1.0, 18), vector(2.3, 1.0, 18));
+        let w = wrench();
+        let a = at(&q, &w, PRESSURE);
+        // test direction `other`: other^T (H - 1/2 J^T [W . [J d, J other]]) d
+        let tangent = dot(&other, &hessian_times(&a, &d)) - 0.5 * w.work(&turned(&a, &d).cross(&turned(&a, &other)));
+        slope(2, |s| {
+            let moved = residual(&at(&along(&q, &d, s), &w, PRESSURE), &w, &other);
+            moved - residual(&a, &w, &other) - s * tangent
+        });
+    }
+
+    #[test]
+    fn the_condensed_tip_follows_its_twist_and_pressure() {
+        // From a balanced, closed state, the change by a small twist and pressure is that of the full equations.
+        let (q, w) = (vector(0.2, 0.4, 18), wrench());
+        let a = at(&q, &w, PRESSURE);
+        let mut condensed = Condensed::default();
+        assert!(condensed.eliminate(&a, &w, 1.0, 1.3));
+        let (eta, gap) = (Vector6::new(0.1, -0.3, 0.2, 0.4, 0.1, -0.2), Vector6::new(0.0, 0.2, 0.1, -0.1, 0.3, 0.2));
+        let (dp, mut dq) = (0.3, Vec::new());
+        let dw = condensed.expand(&eta, &gap, dp, 1.0, &mut dq);
+        assert!((vector6(&turned(&a, &dq)) - eta - gap).norm() < 1e-10);
+        let change = super::super::condensed::wrench(&dw);
+        for i in 0..18 {
+            let mut unit = vec![0.0; 18];
+            unit[i] = 1.0;
+            let bracket = 0.5 * w.work(&turned(&a, &dq).cross(&turned(&a, &unit)));
+            let left = hessian_times(&a, &dq)[i] - bracket + a.by_pressure[i] * dp - change.work(&turned(&a, &unit));
+            assert!((left + residual(&a, &w, &unit)).abs() < 1e-9, "{i}");
+        }
+        // The plate's equation gets the same wrench from the condensed form.
+        let from_tip = condensed.tip_stiffness() * eta - super::super::condensed::half_bracket(&w) * eta
+            + condensed.wrench_offset(&gap)
+            + condensed.wrench_by_pressure() * dp;
+        assert!((from_tip - dw).norm() < 1e-9 && (moment_force(&change) - dw).norm() == 0.0);
+        assert!((condensed.tip_stiffness() - condensed.tip_stiffness().transpose()).amax() < 1e-9);
+        assert_eq!(vector6(&twist(&eta)), eta);
+    }
+
+    #[test]
+    fn a_rigid_motion_changes_nothing_but_the_frame() {
+        let q = vector(0.2, 0.4, 18);
+        let (mut still, mut moved) = (Assembly::default(), Assembly::default());
+        let w = wrench();
+        // The wrench of the moved rod, and the moved frame's tip.
+        let turned = base().re * w.re;
+        let carried = DualVector { re: turned, du: base().re * w.du + base().position().cross(&turned) };
+        still.fill(&rod(), &basis(), &DualMatrix::identity(), PRESSURE, &q, &w).unwrap();
+        moved.fill(&rod(), &basis(), &base(), PRESSURE, &q, &carried).unwrap();
+        assert_eq!(still.energy, moved.energy);
+        let apart = (base() * still.tip()).re - moved.tip().re;
+        assert!(apart.norm() < 1e-14);
+        assert!(still.hessian.iter().zip(&moved.hessian).all(|(a, b)| (a - b).abs() < 1e-13));
+    }
+
+    #[test]
+    fn too_coarse_a_step_is_refused_by_name() {
+        let mut q = vec![0.0; 18];
+        q[2] = 10.0;
+        let mut a = Assembly::default();
+        let refused = a.fill(&rod(), &basis(), &base(), PRESSURE, &q, &wrench()).unwrap_err();
+        assert!(matches!(refused, RodError::TooCoarse { steps: 3, .. }));
     }
 }

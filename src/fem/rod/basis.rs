@@ -12,9 +12,9 @@ pub struct Resolution {
 }
 
 impl Resolution {
-    /// 0.02 % of the length and better for bends up to a right angle. Critical loads of a plate that is free to move
-    /// to 1 %; those of rods between clamped ends, whose modes wind more, need a degree of 5.
-    pub const DEFAULT: Resolution = Resolution { degree: 3, steps: 4 };
+    /// 0.01 % of the length for bends up to a right angle, critical loads of a plate that is free to move to 1 %.
+    /// Rods between clamped ends buckle in shapes that wind more: degree 5 or more, and twice the steps.
+    pub const DEFAULT: Resolution = Resolution { degree: 4, steps: 4 };
 
     /// Two degrees and twice the steps: what the error is estimated with.
     pub fn refined(self) -> Resolution {

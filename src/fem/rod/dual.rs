@@ -186,8 +186,8 @@ pub(crate) fn skew(v: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -v.z, v.y, v.z, 0.0, -v.x, -v.y, v.x, 0.0)
 }
 
-/// Largest |t|^2 for which [`Exponential`] is exact to rounding (|t| about 3.5, more than half a turn).
-pub(crate) const MAX_SQUARED_ANGLE: f64 = 12.0;
+/// Largest angle |t| for which [`Exponential`] is exact to rounding, rad; more than half a turn.
+pub(crate) const MAX_ANGLE: f64 = 3.4;
 
 /// The exponential of a twist t and what its first two derivatives need.
 #[derive(Clone, Copy, Debug)]
@@ -203,7 +203,7 @@ pub(crate) struct Exponential {
 }
 
 impl Exponential {
-    /// For |t|^2 up to [`MAX_SQUARED_ANGLE`].
+    /// For angles up to [`MAX_ANGLE`].
     pub fn new(t: DualVector) -> Exponential {
         let x = t.dot(&t);
         let c = stumpff(x.re);
@@ -303,7 +303,7 @@ mod tests {
 
     #[test]
     fn stumpffs_functions_are_sine_and_cosine() {
-        for x in [0.0f64, 1e-9, 0.3, 2.0, 9.0, MAX_SQUARED_ANGLE] {
+        for x in [0.0f64, 1e-9, 0.3, 2.0, 9.0, MAX_ANGLE * MAX_ANGLE] {
             let (c, r) = (stumpff(x), x.sqrt());
             assert!((c[0] - r.cos()).abs() < 1e-14 && (c[1] * r - r.sin()).abs() < 1e-14, "{x}");
             assert!((c[2] * x - (1.0 - r.cos())).abs() < 1e-14 && (c[3] * r * x - (r - r.sin())).abs() < 2e-14);

@@ -1,7 +1,7 @@
 //! What a rod is made of: one potential of its strains and its pressure, per reference length.
 //!
 //! ```text
-//!     psi(lam, tau, kappa, gamma; P) = psi0(lam, tau; P) + EI(P) |kappa|^2 / 2 + GA(P) |gamma|^2 / 2 + C(P) kappa . gamma
+//!     psi = psi0(lam, tau; P) + EI(P) |kappa|^2 / 2 + GA(P) |gamma|^2 / 2 + C(P) kappa . gamma
 //! ```
 //!
 //! psi0 is the energy of the straight section less `P V`, minimised over the section's own fields, so its derivatives

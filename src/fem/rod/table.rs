@@ -320,3 +320,92 @@ fn quintic(s: f64) -> [[f64; 6]; 3] {
     }
     weights
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A smooth potential whose derivatives of every order are mixed: exp(a . x) of scaled variables.
+    fn smooth(x: f64, y: f64, z: f64) -> Jet {
+        let a = Vector3::new(0.9, -0.7, 0.8);
+        let value = a.dot(&Vector3::new(x, y, z)).exp() + (x * y * z).sin();
+        let (s, c) = (x * y * z).sin_cos();
+        let g = Vector3::new(y * z, x * z, x * y);
+        let e = a.dot(&Vector3::new(x, y, z)).exp();
+        let cross = Matrix3::new(0.0, z, y, z, 0.0, x, y, x, 0.0);
+        Jet { value, gradient: a * e + g * c, hessian: a * a.transpose() * e - g * g.transpose() * s + cross * c }
+    }
+
+    fn axis(points: usize) -> Axis {
+        Axis { from: -1.0, to: 1.0, points }
+    }
+
+    fn table(points: usize) -> Table {
+        Table::build(axis(points), axis(points), axis(points), |x, y, z| Some(smooth(x, y, z))).unwrap()
+    }
+
+    #[test]
+    fn it_converges_with_order_six_and_its_hessian_with_four() {
+        let worst = |points| table(points).deviation(1, |x, y, z| Some(smooth(x, y, z)));
+        let (coarse, fine) = (worst(9), worst(17));
+        let order = (coarse.hessian.amax() / fine.hessian.amax()).log2();
+        assert!(order > 3.7, "{order} {coarse:?} {fine:?}");
+        let order = (coarse.gradient.amax() / fine.gradient.amax()).log2();
+        assert!(order > 4.7, "{order} {coarse:?} {fine:?}");
+        assert!(fine.hessian.amax() < 1e-4, "{fine:?}");
+    }
+
+    #[test]
+    fn grid_points_are_met_exactly_and_the_hessian_is_continuous_across_cells() {
+        let t = table(6);
+        let (x, y, z) = (-1.0 + 2.0 * 0.4, 0.2, 0.6);
+        let (got, want) = (t.jet(x, y, z).unwrap(), smooth(x, y, z));
+        assert!((got.hessian - want.hessian).amax() < 1e-12 && (got.gradient - want.gradient).amax() < 1e-13);
+        // On a face between cells, in its middle.
+        let e = 1e-9;
+        let (low, high) = (t.jet(x - e, 0.07, 0.33).unwrap(), t.jet(x + e, 0.07, 0.33).unwrap());
+        assert!((low.hessian - high.hessian).amax() < 1e-7, "{}", low.hessian - high.hessian);
+        // One function: its derivatives are those of differences.
+        let at = [0.13, 0.27, -0.41];
+        let jet = t.jet(at[0], at[1], at[2]).unwrap();
+        for i in 0..3 {
+            let [mut a, mut b] = [at; 2];
+            a[i] -= 1e-5;
+            b[i] += 1e-5;
+            let (a, b) = (t.jet(a[0], a[1], a[2]).unwrap(), t.jet(b[0], b[1], b[2]).unwrap());
+            assert!(((b.value - a.value) / 2e-5 - jet.gradient[i]).abs() < 1e-8);
+            assert!(((b.gradient - a.gradient) / 2e-5 - jet.hessian.column(i)).amax() < 1e-7);
+        }
+    }
+
+    #[test]
+    fn a_quadratic_law_is_reproduced() {
+        let k = Matrix3::new(3.0, 0.4, -0.2, 0.4, 0.7, 0.3, -0.2, 0.3, -0.1);
+        let law = |x: f64, y: f64, z: f64| {
+            let v = Vector3::new(x, y, z);
+            Jet { value: 0.5 * v.dot(&(k * v)), gradient: k * v, hessian: k }
+        };
+        let t = Table::build(axis(5), axis(6), axis(7), |x, y, z| Some(law(x, y, z))).unwrap();
+        let off = t.deviation(1, |x, y, z| Some(law(x, y, z)));
+        assert!(off.points == 4 * 5 * 6 && off.gradient.amax() < 1e-13 && off.hessian.amax() < 1e-12, "{off:?}");
+    }
+
+    #[test]
+    fn outside_and_where_the_law_refused_it_refuses_by_name() {
+        // Accepted below a slanted plane only.
+        let inside = |x: f64, _: f64, z: f64| x + z < 0.6;
+        let t = Table::build(axis(9), axis(5), axis(9), |x, y, z| inside(x, y, z).then(|| smooth(x, y, z))).unwrap();
+        assert!((0.5..0.8).contains(&t.coverage()), "{}", t.coverage());
+        assert!(matches!(t.jet(0.9, 0.0, 0.9), Err(LawError::OutsideTable { .. })));
+        assert!(matches!(t.jet(1.01, 0.0, -0.9), Err(LawError::OutsideTable { .. })));
+        assert!(matches!(t.jet(f64::NAN, 0.0, 0.0), Err(LawError::OutsideTable { .. })));
+        // The valid cells are as good as those of a whole table, within the one-sided differences' constants.
+        let off = t.deviation(1, |x, y, z| Some(smooth(x, y, z)));
+        assert!(off.points > 50 && off.hessian.amax() < 5e-2, "{off:?}");
+        let none = Table::build(axis(5), axis(5), axis(5), |_, _, _| None);
+        assert_eq!(none.unwrap_err(), TableError::Empty);
+        let flat = Axis { from: 1.0, to: 1.0, points: 5 };
+        assert!(matches!(Table::build(axis(5), flat, axis(5), |_, _, _| None), Err(TableError::Axis(_))));
+        assert!(matches!(Table::build(axis(4), axis(5), axis(5), |_, _, _| None), Err(TableError::Axis(_))));
+    }
+}
