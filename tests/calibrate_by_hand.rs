@@ -158,7 +158,10 @@ fn the_relaxation_of_an_overdamped_free_is_found_through_its_friction() {
     covers((ct / 0.086, uncertainty / 0.086), ratio);
     assert!(uncertainty < 0.05 * ct, "{ct} {uncertainty}");
     let remarks = output["remarks"].to_string();
-    assert!(remarks.contains("not identifiable") && remarks.contains("friction") && remarks.contains("ce stays"), "{remarks}");
+    assert!(
+        remarks.contains("not identifiable") && remarks.contains("friction") && remarks.contains("ce stays"),
+        "{remarks}"
+    );
     let text = fs::read_to_string(folder.path().join("calibration/paper.toml")).unwrap();
     assert!(text.contains("end_inertia_kg_m2 = { value = 1.372e-6") || text.contains("1.372e-6"), "{text}");
     let page = fs::read_to_string(folder.path().join(output["report"].as_str().unwrap())).unwrap();
@@ -279,5 +282,8 @@ fn a_step_that_fails_leaves_what_the_ones_before_it_found() {
     let output = freerig(folder.path(), &["calibrate", "all", "--stepped"]);
     refused(&output, 3, &["angle_limit", "imu, regulator written to"]);
     let text = fs::read_to_string(&file).unwrap();
-    assert!(text.contains("angle_noise_deg") && text.contains("value = 0.35") && !text.contains("[hysteresis]"), "{text}");
+    assert!(
+        text.contains("angle_noise_deg") && text.contains("value = 0.35") && !text.contains("[hysteresis]"),
+        "{text}"
+    );
 }

@@ -15,8 +15,8 @@ use crate::record::{
     Backend, LiveFeed, RealtimeDocument, RecordOptions, Recorder, Repetition, Run, RunKind, RunResult, StartDocument,
     StopDocument, sha256, write_report,
 };
-use crate::sim::Hand;
 use crate::signal::{FaultCode, FaultSet, FreeTick, Quantity, RequestKind, State, TickRecord};
+use crate::sim::Hand;
 use crate::trajectory::{Axis, Program, Segment, Sequence, Shape};
 
 /// Beyond the ramp and vent times, how long a fault's reaction is recorded.

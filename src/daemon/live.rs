@@ -18,8 +18,8 @@ use crate::hardware::{DeviceStatistics, I2cOwner, ProfileDesk, SerialOwner, Valv
 use crate::record::Recorder;
 use crate::rt;
 use crate::signal::{FreeTick, RegulatorHealth, TickRecord};
-use crate::sim::{Hand, Plant, SimRig};
 use crate::sim::chips::Pty;
+use crate::sim::{Hand, Plant, SimRig};
 
 /// How often the pump takes what waits in the rings.
 const PUMP_PERIOD: Duration = Duration::from_millis(20);

@@ -136,8 +136,7 @@ fn routes(office: Arc<Office>) -> Router {
         .with_state(office)
 }
 
-const ROUTES: &str =
-    "GET /v1/status, /v1/status/stream, /v1/events; POST /v1/arm, disarm, clear, set, start, stop, profile, heartbeat, estop";
+const ROUTES: &str = "GET /v1/status, /v1/status/stream, /v1/events; POST /v1/arm, disarm, clear, set, start, stop, profile, heartbeat, estop";
 
 /// Lets in whoever may control the rig.
 async fn admit(

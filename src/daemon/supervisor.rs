@@ -393,7 +393,8 @@ impl Supervisor {
         let (mut bench, rig) = (self.bench.clone(), Arc::clone(&self.rig));
         tokio::task::spawn_blocking(move || {
             let done = procedure::read_profile(&mut bench, &rig, free);
-            let done = done.map(|profile| Response { profile: Some(profile.into()), ..Response::done("the profile is read") });
+            let done =
+                done.map(|profile| Response { profile: Some(profile.into()), ..Response::done("the profile is read") });
             let _ = answer.send(done.map_err(|error| Problem::from(&error)));
         });
     }

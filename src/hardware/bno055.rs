@@ -266,9 +266,10 @@ impl<I: I2c> Bno055<I> {
                         hexadecimal(&profile.unique_id),
                         self.identity.serial
                     ),
-                    remedy: "Put the former sensor back, or remove `sensor_id` and `profile` from `[imu]` of the FREE's \
+                    remedy:
+                        "Put the former sensor back, or remove `sensor_id` and `profile` from `[imu]` of the FREE's \
                              calibration, start again, and run `freerig calibrate imu`"
-                        .into(),
+                            .into(),
                 });
             }
             let wanted = BNO055Calibration::from_buf(&profile.registers);

@@ -159,8 +159,11 @@ impl Tip {
         // The slip elements add at most their whole stiffness, the pressure about as much as the FREE's own.
         let torsional = 2.0 * f.torsional_stiffness + self.friction.full_stiffness();
         let grip = self.grip.map_or(0.0, |_| 2.0 * (f.torsional_stiffness * (f.inertia + self.added_inertia)).sqrt());
-        rate(f.axial_damping, 2.0 * f.axial_stiffness, f.mass)
-            .max(rate(f.torsional_damping + grip, torsional, f.inertia + self.added_inertia))
+        rate(f.axial_damping, 2.0 * f.axial_stiffness, f.mass).max(rate(
+            f.torsional_damping + grip,
+            torsional,
+            f.inertia + self.added_inertia,
+        ))
     }
 
     /// Equilibrium (extension, angle) at `pressure` near the present state, with the sliders where they stand;

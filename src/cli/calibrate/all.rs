@@ -84,13 +84,7 @@ pub(super) fn run(how: &How, context: &Context) -> Result<(), Failure> {
 }
 
 /// Takes every step, and adopts what it found.
-fn steps(
-    how: &How,
-    rig: &mut Rig,
-    index: usize,
-    done: &mut Vec<Done>,
-    context: &Context,
-) -> Result<(), Failure> {
+fn steps(how: &How, rig: &mut Rig, index: usize, done: &mut Vec<Done>, context: &Context) -> Result<(), Failure> {
     for (number, (step, find)) in STEPS.into_iter().enumerate() {
         context.note(format!("step {} of {}: {step}", number + 1, STEPS.len() + 1));
         // The sensor's profile is read from a disarmed rig.

@@ -3,8 +3,8 @@
 use jiff::Zoned;
 
 use super::{How, confirm, failure, measure, prepare, tell};
-use crate::config::Rig;
 use crate::cli::{Context, Failure};
+use crate::config::Rig;
 use crate::daemon::calibration::{Finding, regulator, stiffness};
 use crate::record::Run;
 use crate::units::Pressure;

@@ -30,6 +30,8 @@ const SHARE_OF_ANGLE: f64 = 0.4;
 const RATE: f64 = 20.0;
 /// Least turn worth the name, rad: below it the fusion's noise is a hundredth.
 const TURN_MIN: f64 = 0.087;
+/// An inertia that is known worse than this is none.
+const UNSURE: f64 = 0.3;
 /// Friction above this share of the turn is said.
 const SLIP_REMARK: f64 = 0.01;
 
@@ -48,7 +50,8 @@ impl Plan {
         let angle = self.hand.angle_rad.to_degrees();
         let turn = |(n, release): (usize, &f64)| {
             let side = if n % 2 == 0 { "one" } else { "the other" };
-            let text = format!("turn the end to {side} side by about {angle:.0} deg, without bending it, and hold it ...");
+            let text =
+                format!("turn the end to {side} side by about {angle:.0} deg, without bending it, and hold it ...");
             [(release - Hand::BEFORE, text), (*release, "... let go, at once!".to_owned())]
         };
         self.hand.releases_s.iter().enumerate().flat_map(turn).collect()
@@ -135,10 +138,7 @@ pub fn look(rig: &Rig, subject: usize, run: &Run, added: f64) -> Result<Look, Ca
 
 /// Whether `error` says that the FREE rings faster than its sensor can be trusted; with more inertia it would not.
 pub fn is_too_fast(error: &CalibrationError) -> bool {
-    matches!(
-        error,
-        CalibrationError::Damping { source: PluckError::RingDown(RingDownError::BeyondSensor { .. }), .. }
-    )
+    matches!(error, CalibrationError::Damping { source: PluckError::RingDown(RingDownError::BeyondSensor { .. }), .. })
 }
 
 /// What the `looks` (at least one) say together; `date` is today's, `YYYY-MM-DD`.
@@ -209,10 +209,21 @@ pub fn evaluate(rig: &Rig, subject: usize, looks: &[Look], date: &str) -> Result
             );
         }
         _ => {
-            let torsion = torsion_of_series(&ringing)
-                .map_err(|error| CalibrationError::Regulator { run: last.run.id().to_owned(), reason: error.to_string() })?;
+            let torsion = torsion_of_series(&ringing).map_err(|error| CalibrationError::Regulator {
+                run: last.run.id().to_owned(),
+                reason: error.to_string(),
+            })?;
             let method = format!("ring-down after {plucks} plucks with {} inertias", ringing.len());
-            found.push((&keys::END_INERTIA, torsion.inertia, method.clone()));
+            let inertia = torsion.inertia;
+            if inertia.uncertainty < UNSURE * inertia.value {
+                found.push((&keys::END_INERTIA, inertia, method.clone()));
+            } else {
+                remarks.push(format!(
+                    "the added inertias are too large, or the friction is, to tell the FREE's own ({:.1e} +- {:.1e} kg m2): it \
+                     stays as it was",
+                    inertia.value, inertia.uncertainty
+                ));
+            }
             found.push((&keys::TORSIONAL_DAMPING, torsion.damping, method.clone()));
             compare(&mut facts, &mut remarks, torsion.stiffness, kt, "with the added inertia");
             // What the staircase has found belongs to its geometry; what nobody has measured is replaced.

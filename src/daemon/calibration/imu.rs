@@ -106,7 +106,8 @@ pub fn evaluate(
     let mut calibration = rig.calibrations[subject].clone();
     let count = still.readings as f64;
     // A standard deviation of n values is known to 1 / sqrt(2 n) of itself.
-    let spread = |noise: f64| Measured { value: noise, uncertainty: noise / (2.0 * count).sqrt(), freedom: still.readings };
+    let spread =
+        |noise: f64| Measured { value: noise, uncertainty: noise / (2.0 * count).sqrt(), freedom: still.readings };
     let per = 1f64.to_degrees();
     let method = format!("differences of {} readings at rest", still.readings);
     let origin = Origin { run: still_run, date, method: &method, residual: None };
@@ -160,7 +161,11 @@ fn facts(still: &StillFit, axis: &AxisFit, off: f64) -> Vec<(String, String)> {
         ("quantum".into(), still.quantum.map_or("not seen".into(), |q| format!("{:.5} deg", degrees(q)))),
         (
             "drift".into(),
-            format!("{:.4} +- {:.4} deg/min", 60.0 * degrees(still.drift.value), 60.0 * degrees(still.drift.uncertainty)),
+            format!(
+                "{:.4} +- {:.4} deg/min",
+                60.0 * degrees(still.drift.value),
+                60.0 * degrees(still.drift.uncertainty)
+            ),
         ),
         ("random walk".into(), format!("{:.4} deg per square root of a second", degrees(still.walk))),
         (

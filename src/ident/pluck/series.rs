@@ -67,7 +67,8 @@ pub fn torsion_of_series(records: &[Loaded]) -> Result<Torsion, SeriesError> {
     let variance = by.0.powi(2) * intercept_variance + by.1.powi(2) * slope_variance + 2.0 * by.0 * by.1 * covariance;
     let inertia = Estimate::new(inertia, variance.max(0.0).sqrt());
     // ct = d (I + a) = d kt / S of each record; kt is common to all, so its own uncertainty does not average out.
-    let relative = |r: &Loaded| (r.damping.uncertainty / r.damping.value).hypot(r.stiffness.uncertainty / r.stiffness.value);
+    let relative =
+        |r: &Loaded| (r.damping.uncertainty / r.damping.value).hypot(r.stiffness.uncertainty / r.stiffness.value);
     let of = |r: &Loaded| r.damping.value * stiffness.value / r.stiffness.value;
     let (sum, total) = records.iter().fold((0.0, 0.0), |(sum, total), r| {
         let k = weight((relative(r) * of(r)).max(f64::MIN_POSITIVE));
