@@ -28,8 +28,8 @@ const TURN: f64 = 0.7;
 const SHARE_OF_ANGLE: f64 = 0.4;
 /// ... or so far that it comes back at this rate, rad/s, whichever is least: the gyro ends at 34.9.
 const RATE: f64 = 20.0;
-/// Least turn worth the name, rad: below it the fusion's noise is a hundredth.
-const TURN_MIN: f64 = 0.087;
+/// Least turn worth the name, rad: of it the fusion's noise is a seventieth.
+const TURN_MIN: f64 = 0.06;
 /// An inertia that is known worse than this is none.
 const UNSURE: f64 = 0.3;
 /// Friction above this share of the turn is said.
@@ -138,7 +138,12 @@ pub fn look(rig: &Rig, subject: usize, run: &Run, added: f64) -> Result<Look, Ca
 
 /// Whether `error` says that the FREE rings faster than its sensor can be trusted; with more inertia it would not.
 pub fn is_too_fast(error: &CalibrationError) -> bool {
-    matches!(error, CalibrationError::Damping { source: PluckError::RingDown(RingDownError::BeyondSensor { .. }), .. })
+    match error {
+        CalibrationError::Damping { source: PluckError::RingDown(RingDownError::BeyondSensor { .. }), .. } => true,
+        // The gyro's range leaves no turn worth the name.
+        CalibrationError::Range { .. } => true,
+        _ => false,
+    }
 }
 
 /// What the `looks` (at least one) say together; `date` is today's, `YYYY-MM-DD`.
