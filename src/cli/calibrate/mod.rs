@@ -168,6 +168,7 @@ fn by_hand(
         let outcome = attend::cued(&rig.socket.path, &start, &cues, context)?;
         if outcome.runs.last().is_some_and(|run| run.outcome == "aborted") {
             attend::disarm(&rig.socket.path)?;
+            context.note("the pressures are down and the rig is disarmed; the old calibration is untouched");
         }
         outcome
     };
