@@ -192,6 +192,55 @@ fn start(detach: bool) -> Start {
 }
 
 #[test]
+fn a_person_who_aborts_a_calibration_finds_the_rig_vented_and_disarmed_and_the_old_calibration() {
+    attempt(|place| {
+        place.rewrite(|text| text.replace("ramp_time_s = 3.0", "ramp_time_s = 0.3"));
+        let _daemon = place.daemon();
+        let file = place.path("calibration/paper.toml");
+        let before = std::fs::read_to_string(&file).unwrap();
+        for what in ["imu", "regulator", "stiffness", "damping"] {
+            place.expect(&["arm", "--accept-margin"], 0);
+            let log = File::options().create(true).append(true).open(place.path("log")).unwrap();
+            let mut command = Command::new(PROGRAM);
+            command.args(["calibrate", what]).current_dir(place.folder.path());
+            command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
+            let mut calibration = Daemon(command.spawn().unwrap());
+            place.until(what, |status| status.run.as_ref().is_some_and(|run| run.elapsed_s > 0.8));
+            calibration.signal("-INT");
+            assert_eq!(calibration.ended(), Some(1), "{what}: {}", place.log());
+            let status = place.status();
+            assert_eq!((status.state.as_str(), status.frees[0].vented), ("disarmed", Some(true)), "{what}: {status:?}");
+            assert_eq!(std::fs::read_to_string(&file).unwrap(), before, "{what}");
+        }
+    });
+}
+
+#[test]
+fn a_sensors_profile_is_read_from_a_disarmed_rig_only() {
+    attempt(|place| {
+        let _daemon = place.daemon();
+        let client = place.client();
+        runtime().block_on(async {
+            client.arm(Arm { accept_margin: true }).await.unwrap();
+            match client.profile("paper").await {
+                Err(ClientError::Problem(problem)) => assert_eq!(problem.kind, ProblemKind::Refused, "{problem}"),
+                other => panic!("{other:?}"),
+            }
+            client.disarm().await.unwrap();
+            // The gyro has rested long enough to be armed: the sensor has found its offsets.
+            let profile = client.profile("paper").await.unwrap().profile.unwrap();
+            assert!(profile.sensor_id != [0; 16] && profile.registers != [0; 22]);
+            match client.profile("other").await {
+                Err(ClientError::Problem(problem)) => assert_eq!(problem.kind, ProblemKind::Usage, "{problem}"),
+                other => panic!("{other:?}"),
+            }
+            // The readings are back.
+            client.arm(Arm { accept_margin: true }).await.unwrap();
+        });
+    });
+}
+
+#[test]
 fn the_commands_take_a_rig_through_its_day() {
     attempt(|place| {
         let mut daemon = place.daemon();

@@ -179,6 +179,7 @@ fn by_hand(
         let outcome = attend::cued(&rig.socket.path, &start, &cues, context)?;
         if outcome.runs.last().is_some_and(|run| run.outcome == "aborted") {
             attend::disarm(&rig.socket.path)?;
+            context.note("the pressures are down and the rig is disarmed; the old calibration is untouched");
         }
         outcome
     };
@@ -233,7 +234,11 @@ fn value_table<'a>(values: impl IntoIterator<Item = &'a FoundValue>) -> Table {
     let dash = |value: Option<f64>| value.map_or("-".into(), significant);
     for v in values {
         let percent = 100.0 * v.standard_uncertainty / v.value.abs();
-        let uncertainty = format!("{} ({percent:.2} %)", significant(v.standard_uncertainty));
+        let mut uncertainty = significant(v.standard_uncertainty);
+        // Of what may as well be zero a share says nothing.
+        if percent < 100.0 {
+            uncertainty += &format!(" ({percent:.2} %)");
+        }
         table.row([v.key.into(), dash(v.before), significant(v.value), uncertainty, dash(v.prediction)]);
     }
     table

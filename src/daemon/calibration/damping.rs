@@ -28,8 +28,10 @@ const TURN: f64 = 0.7;
 const SHARE_OF_ANGLE: f64 = 0.4;
 /// ... or so far that it comes back at this rate, rad/s, whichever is least: the gyro ends at 34.9.
 const RATE: f64 = 20.0;
-/// Least turn worth the name, rad: below it the fusion's noise is a hundredth.
-const TURN_MIN: f64 = 0.087;
+/// Least turn worth the name, rad: of it the fusion's noise is a seventieth.
+const TURN_MIN: f64 = 0.06;
+/// An inertia that is known worse than this is none.
+const UNSURE: f64 = 0.3;
 /// Friction above this share of the turn is said.
 const SLIP_REMARK: f64 = 0.01;
 
@@ -136,7 +138,12 @@ pub fn look(rig: &Rig, subject: usize, run: &Run, added: f64) -> Result<Look, Ca
 
 /// Whether `error` says that the FREE rings faster than its sensor can be trusted; with more inertia it would not.
 pub fn is_too_fast(error: &CalibrationError) -> bool {
-    matches!(error, CalibrationError::Damping { source: PluckError::RingDown(RingDownError::BeyondSensor { .. }), .. })
+    match error {
+        CalibrationError::Damping { source: PluckError::RingDown(RingDownError::BeyondSensor { .. }), .. } => true,
+        // The gyro's range leaves no turn worth the name.
+        CalibrationError::Range { .. } => true,
+        _ => false,
+    }
 }
 
 /// What the `looks` (at least one) say together; `date` is today's, `YYYY-MM-DD`.
@@ -212,7 +219,16 @@ pub fn evaluate(rig: &Rig, subject: usize, looks: &[Look], date: &str) -> Result
                 reason: error.to_string(),
             })?;
             let method = format!("ring-down after {plucks} plucks with {} inertias", ringing.len());
-            found.push((&keys::END_INERTIA, torsion.inertia, method.clone()));
+            let inertia = torsion.inertia;
+            if inertia.uncertainty < UNSURE * inertia.value {
+                found.push((&keys::END_INERTIA, inertia, method.clone()));
+            } else {
+                remarks.push(format!(
+                    "the added inertias are too large, or the friction is, to tell the FREE's own ({:.1e} +- {:.1e} kg m2): it \
+                     stays as it was",
+                    inertia.value, inertia.uncertainty
+                ));
+            }
             found.push((&keys::TORSIONAL_DAMPING, torsion.damping, method.clone()));
             compare(&mut facts, &mut remarks, torsion.stiffness, kt, "with the added inertia");
             // What the staircase has found belongs to its geometry; what nobody has measured is replaced.

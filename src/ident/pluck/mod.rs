@@ -21,8 +21,9 @@
 //! friction is [`fit_ring_down`](crate::ident::fit_ring_down)'s.
 //!
 //! **Uncertainty.** That of the mean over the releases, by leaving out one after the other (jackknife): what differs from
-//! pluck to pluck, noise and a clumsy hand alike, is in it. What is wrong in all of them is not: the scale of the gyro
-//! and, of a FREE that creeps, kt.
+//! pluck to pluck, noise and a clumsy hand alike, is in it; and what the elements cannot tell: friction that slips beyond the
+//! turns looks like a spring, and where friction takes most of the energy little is left that is the damper's. What is
+//! wrong in all of them is not in it: the scale of the gyro and, of a FREE that creeps, kt.
 
 mod release;
 mod series;

@@ -17,14 +17,14 @@ pub struct Rules {
     pub longest: f64,
     /// Time that is looked at after the motion is gone, s.
     pub after: f64,
-    /// Before it is turned again, time that the hand is taken to need to get there, s.
+    /// Time for which the hand is taken to have been there before its turn is seen, s.
     pub touch: f64,
 }
 
 impl Default for Rules {
-    /// 2 deg, held for 0.15 s within 10 %, alone for 0.5 to 4 s and 0.4 s after the motion is gone, the hand there 0.2 s before it turns.
+    /// 2 deg, held for 0.15 s within 10 %, alone for 0.5 to 4 s and 0.4 s after the motion is gone, the hand there 0.6 s before the turn is seen.
     fn default() -> Self {
-        Self { least: 2f64.to_radians(), held: 0.15, stray: 0.1, alone: 0.5, longest: 4.0, after: 0.4, touch: 0.2 }
+        Self { least: 2f64.to_radians(), held: 0.15, stray: 0.1, alone: 0.5, longest: 4.0, after: 0.4, touch: 0.6 }
     }
 }
 

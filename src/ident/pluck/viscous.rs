@@ -45,6 +45,9 @@ pub struct PluckFit {
     pub balance: Vec<(f64, f64, f64)>,
 }
 
+/// How well the elements stand for the FREE's friction: standard uncertainty of what it takes, as a share of that. On the
+/// simulated FREEs, whose elements are others, 0.7 %.
+const LOSS: f64 = 0.01;
 /// Least overshoot of a FREE that rings, over the turn: a damping ratio of 0.6.
 const OVERSHOOT: f64 = 0.1;
 
@@ -75,16 +78,25 @@ pub fn fit_plucks(
     let apart: Vec<Solution> =
         (0..releases.len()).map(|left_out| rows.solve(Some(left_out))).collect::<Result<_, _>>()?;
     let estimate = |pick: fn(&Solution) -> f64| jackknife(pick(&all), &apart.iter().map(pick).collect::<Vec<_>>());
-    let (damping, stiffness) = (estimate(|s| s.damping), estimate(|s| s.stiffness));
+    let (mut damping, mut stiffness) = (estimate(|s| s.damping), estimate(|s| s.stiffness));
     if !(damping.value > 0.0 && stiffness.value > 0.0) {
         return Err(PluckError::NoFree { damping: damping.value, stiffness: stiffness.value });
     }
+    let slip = all.slip / stiffness.value;
+    let widest = releases.iter().map(|r| r.turn.abs()).fold(0.0, f64::max);
+    // Friction that begins to slip farther out than the turns reach is a spring to them: anything up to its share.
+    let hidden = slip / widest / 12f64.sqrt();
+    // The cubic between readings integrates a sinusoid to (w h)^4 / 720, and its rates are those of readings.
+    let between = if rings { (std::f64::consts::TAU * frequency * rows.step).powi(4) / 300.0 } else { 0.0 };
+    stiffness.uncertainty = stiffness.uncertainty.hypot(hidden.hypot(between) * stiffness.value);
+    let model = (LOSS * rows.losses(&all)).hypot(if rings { 0.0 } else { hidden });
+    damping.uncertainty = damping.uncertainty.hypot(model * damping.value);
     let regime = match rings {
         true => Regime::Rings { damping, stiffness, frequency },
         false => Regime::Creeps { time: damping },
     };
     let (balance, residual) = rows.balance(&all);
-    Ok(PluckFit { regime, slip: all.slip / stiffness.value, residual, balance })
+    Ok(PluckFit { regime, slip, residual, balance })
 }
 
 /// What can be told of a release at sight.
@@ -135,6 +147,8 @@ struct Rows {
     /// Columns that may have either sign: of a FREE that rings 3, else 2.
     free: usize,
     rings: bool,
+    /// The usual time between readings, s.
+    step: f64,
     thresholds: [f64; ELEMENTS],
     /// By release: times, columns and right-hand sides.
     blocks: Vec<(Vec<f64>, DMatrix<f64>, DVector<f64>)>,
@@ -155,6 +169,9 @@ impl Rows {
         let farthest = releases.iter().map(|r| r.turn.abs()).fold(0.0, f64::max);
         let share = |i: usize| SHORTEST * (LONGEST / SHORTEST).powf(i as f64 / (ELEMENTS - 1) as f64);
         let mut sliders = Sliders { thresholds: std::array::from_fn(|i| farthest * share(i)), at: [0.0; ELEMENTS] };
+        let mut record = record.to_vec();
+        releases.iter().for_each(|r| fuse(&mut record[r.first..r.end]));
+        let record = &record[..];
         // The sliders follow through everything, the hand's part too.
         let steps: Vec<Interval> = record.windows(2).map(|w| Interval::of(w[0], w[1], &mut sliders)).collect();
         let mut gaps: Vec<f64> = steps.iter().map(|s| s.length).collect();
@@ -195,6 +212,7 @@ impl Rows {
         Self {
             free: if matches!(law, Law::Rings) { 3 } else { 2 },
             rings: matches!(law, Law::Rings),
+            step: usual,
             thresholds: sliders.thresholds,
             blocks: releases.iter().map(block).collect(),
         }
@@ -216,6 +234,21 @@ impl Rows {
         Ok(Solution { damping: x[0], stiffness: if self.rings { x[1] } else { 1.0 }, slip, x })
     }
 
+    /// Energy that friction takes over that which the damper takes.
+    fn losses(&self, solution: &Solution) -> f64 {
+        let (mut friction, mut viscous) = (0.0, 0.0);
+        for (_, columns, _) in self.blocks.iter().filter(|(_, columns, _)| columns.ncols() == solution.x.len()) {
+            for row in columns.row_iter() {
+                let moment: f64 = (self.free..row.len()).map(|j| row[j] * solution.x[j]).sum();
+                // Of a FREE that rings both are integrals over the interval.
+                let per = if self.rings { 1.0 / row[2] } else { 1.0 };
+                friction += per * moment * row[0];
+                viscous += per * solution.damping * row[0] * row[0];
+            }
+        }
+        (friction / viscous).abs()
+    }
+
     /// Both sides of the equation as angles, and the root mean square of their difference.
     fn balance(&self, solution: &Solution) -> (Vec<(f64, f64, f64)>, f64) {
         let mut pairs = Vec::new();
@@ -233,6 +266,34 @@ impl Rows {
         let residual = (square / pairs.len().max(1) as f64).sqrt();
         (pairs, residual)
     }
+}
+
+/// Readings to either side over which an angle is averaged.
+const AROUND: usize = 6;
+
+/// Takes the noise out of the angles of an end that moves alone: each becomes the mean of what its neighbours say, carried
+/// to it by the rates, which are far less noisy. A slider that is strained by half a degree minds a twentieth.
+fn fuse(alone: &mut [Reading]) {
+    // Readings are even: the integral of the polynomial through six of them (error (w h)^6 / 300), of four near the ends.
+    let rate = |i: usize| alone[i].rate;
+    let mut turned = vec![0.0; alone.len()];
+    for i in 1..alone.len() {
+        let pair = |k: usize| rate(i - 1 - k) + rate(i + k);
+        let mean = match i {
+            _ if i >= 3 && i + 2 < alone.len() => (802.0 * pair(0) - 93.0 * pair(1) + 11.0 * pair(2)) / 1440.0,
+            _ if i >= 2 && i + 1 < alone.len() => (13.0 * pair(0) - pair(1)) / 24.0,
+            _ => 0.5 * pair(0),
+        };
+        turned[i] = turned[i - 1] + mean * (alone[i].time - alone[i - 1].time);
+    }
+    let fused: Vec<f64> = (0..alone.len())
+        .map(|i| {
+            let around = i.saturating_sub(AROUND)..(i + AROUND + 1).min(alone.len());
+            let count = around.len() as f64;
+            around.map(|j| alone[j].angle + turned[i] - turned[j]).sum::<f64>() / count
+        })
+        .collect();
+    alone.iter_mut().zip(fused).for_each(|(reading, angle)| reading.angle = angle);
 }
 
 /// Maxwell-slip elements of a weight of one.
