@@ -152,10 +152,28 @@ impl Symmetric {
             }
             for (r, &row) in unknowns.iter().enumerate().take(c + 1) {
                 if row != HELD {
-                    self.values[map[packed(r, c)] as usize] += dense[c * stride + r];
+                    // An unknown may stand in a block twice: then both halves meet on the diagonal.
+                    let twice = if row == column && r != c { 2.0 } else { 1.0 };
+                    self.values[map[packed(r, c)] as usize] += twice * dense[c * stride + r];
                 }
             }
         }
+    }
+
+    /// The matrix times a vector.
+    #[cfg(test)]
+    pub(super) fn times(&self, x: &[f64]) -> Vec<f64> {
+        let mut product = vec![0.0; self.size];
+        for c in 0..self.size {
+            for at in self.column_starts[c]..self.column_starts[c + 1] {
+                let (r, value) = (self.rows[at], self.values[at]);
+                product[r] += value * x[c];
+                if r != c {
+                    product[c] += value * x[r];
+                }
+            }
+        }
+        product
     }
 
     /// Factorises; returns the number of negative pivots, which is the number of negative eigenvalues.
@@ -329,6 +347,14 @@ mod tests {
             assert!((DVector::from_column_slice(one) - &exact).norm() < 1e-9 * exact.norm());
             assert!((DVector::from_column_slice(two) + &exact * 2.0).norm() < 1e-9 * exact.norm());
         }
+    }
+
+    #[test]
+    fn an_unknown_that_stands_in_a_block_twice_gets_both_halves() {
+        let mut sparse = Symmetric::new(2, vec![vec![0, 1, 0]], &[0, 1]).unwrap();
+        sparse.add(0, &[5.0, 2.0, 1.0, 2.0, 7.0, 3.0, 1.0, 3.0, 6.0], 3);
+        assert_eq!(sparse.times(&[1.0, 0.0]), [13.0, 5.0]);
+        assert_eq!(sparse.times(&[0.0, 1.0]), [5.0, 7.0]);
     }
 
     #[test]

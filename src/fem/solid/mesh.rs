@@ -282,7 +282,8 @@ pub(super) fn tube(tube: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> 
     let copies = if mesh.part == Part::Whole { 1.0 } else { tube.fibers as f64 };
     Ok(Meshed { body, planes, outer, copies })
 }
-/// The body alone.
-pub fn tube_body(t: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> Result<Body, MeshError> {
-    Ok(tube(t, length, mesh, bulk)?.body)
+
+/// The body of a tube of `length` m alone, in units of its outer radius and shear modulus.
+pub fn tube_body(of: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> Result<Body, MeshError> {
+    Ok(tube(of, length, mesh, bulk)?.body)
 }

@@ -4,8 +4,8 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use super::answer::{PathEnd, SolidEquilibrium, SolidPath, Station};
-use super::body::State;
-use super::cap::{AXIAL, COORDINATES, Coordinates, LATERAL, TILT, TURN};
+use super::body::{State, Support};
+use super::cap::{AXIAL, COORDINATES, Coordinates, LATERAL, TILT, TURN, Tilt};
 use super::mesh::{self, Mesh, MeshError, Part};
 use super::system::{Control, Direction, System, SystemError};
 use crate::fem::ends::{End, Ends};
@@ -241,6 +241,7 @@ impl Solid {
                     state.cap[q] = between(start.cap[q], target.cap[q]);
                 }
             }
+            self.blend(&mut state);
             let before = self.system.negative();
             let outcome = self.system.solve(&mut state, &Control::pressure(gas), ITERATIONS);
             let found = outcome.and_then(|iterations| {
@@ -269,6 +270,30 @@ impl Solid {
             }
         }
         Ok(())
+    }
+
+    /// Lets the nodes follow where a held tip has moved from the last equilibrium, in proportion to their height.
+    fn blend(&self, state: &mut State) {
+        let held = self.system.held;
+        let moved = |cap: Coordinates| -> Coordinates {
+            std::array::from_fn(|q| if held[q] { cap[q] } else { self.state.cap[q] })
+        };
+        let (from, to) = (self.state.cap, moved(state.cap));
+        if (1..COORDINATES).all(|q| from[q] == to[q]) {
+            return;
+        }
+        let body = &self.system.body;
+        let (a, b) = (Tilt::of(&from), Tilt::of(&to));
+        let shift = Tilt::displacement(&to) - Tilt::displacement(&from);
+        for (n, support) in body.supports.iter().enumerate() {
+            let Support::Held(held) = support else { continue };
+            let rest = body.reference[n];
+            let arm = Vector3::new(rest.x, rest.y, 0.0);
+            let change = (shift + (b.rotation - a.rotation) * arm) * (rest.z / body.length);
+            for i in (0..3).filter(|&i| !held[i]) {
+                state.positions[n][i] += change[i];
+            }
+        }
     }
 
     /// Makes the system that of the last equilibrium again.
