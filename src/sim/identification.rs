@@ -3,8 +3,9 @@
 use std::f64::consts::TAU;
 
 use super::ringdown::{Plucked, Sensing};
+use crate::ident::Measured;
 use crate::ident::ringdown::{
-    Channel, Decay, Estimate, PlainDecay, PlainError, RingDownError, curve_fit, fit_ring_down, log_decrement,
+    Channel, Decay, PlainDecay, PlainError, RingDownError, curve_fit, fit_ring_down, log_decrement,
 };
 
 /// Cycles of a record, at most: shorter where the motion is in the noise before.
@@ -16,13 +17,11 @@ pub struct Trial {
     /// The true one.
     pub truth: Plucked,
     /// kt, N m/rad, with the inertia known.
-    pub stiffness: Estimate,
+    pub stiffness: Measured,
     /// ct, N m s/rad.
-    pub damping: Estimate,
+    pub damping: Measured,
     /// Damped frequency, Hz.
-    pub frequency: Estimate,
-    /// Half-width of 95 % intervals, in standard uncertainties.
-    pub factor: f64,
+    pub frequency: Measured,
     /// Modes found; one is right.
     pub modes: usize,
     /// Whether a drift or a creep was seen; there is none.
@@ -69,13 +68,12 @@ pub fn trial(seed: u64, sensing: &Sensing, cycles: f64) -> Result<Trial, RingDow
     match fit_ring_down(&[channel])? {
         Decay::RingDown(fit) if !fit.modes.is_empty() => {
             let mode = &fit.modes[0];
-            let torsion = mode.torsion(Estimate::exact(truth.inertia));
+            let torsion = mode.torsion(Measured::exact(truth.inertia));
             Ok(Trial {
                 truth,
                 stiffness: torsion.stiffness,
                 damping: torsion.damping,
                 frequency: mode.frequency,
-                factor: fit.coverage_factor(),
                 modes: fit.modes.len(),
                 more: !fit.creep.is_empty() || fit.channels.iter().any(|c| c.drift.is_some()),
             })
@@ -101,9 +99,9 @@ impl Trial {
     /// Whether the 95 % intervals hold the truth.
     pub fn covered(&self) -> [bool; 3] {
         [
-            self.stiffness.covers(self.truth.stiffness, self.factor),
-            self.damping.covers(self.truth.damping, self.factor),
-            self.frequency.covers(self.truth.omega() / TAU, self.factor),
+            self.stiffness.covers(self.truth.stiffness),
+            self.damping.covers(self.truth.damping),
+            self.frequency.covers(self.truth.omega() / TAU),
         ]
     }
 }

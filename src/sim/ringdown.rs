@@ -86,6 +86,9 @@ pub struct Sensing {
     pub rate: f64,
     /// Standard deviation of the noise, rad or rad/s.
     pub noise: f64,
+    /// Time constant over which the noise remembers itself (a first-order low-pass, as of a fusion filter), s; zero for
+    /// white noise.
+    pub memory: f64,
     /// Step of the quantisation, rad or rad/s; zero for none.
     pub resolution: f64,
     /// Offset, rad or rad/s.
@@ -108,6 +111,7 @@ impl Sensing {
         Self {
             rate: 100.0,
             noise: 0.05f64.to_radians(),
+            memory: 0.0,
             resolution: 0.0625f64.to_radians(),
             offset: 3f64.to_radians(),
             drift: 0.0,
@@ -122,9 +126,14 @@ impl Sensing {
     pub fn record(&self, length: f64, truth: impl Fn(f64) -> f64) -> (Vec<f64>, Vec<f64>) {
         let mut random = Pcg64::seed_from_u64(self.seed);
         let count = (length * self.rate).floor() as usize + 1;
+        let kept = if self.memory > 0.0 { (-1.0 / (self.rate * self.memory)).exp() } else { 0.0 };
+        let mut last: f64 = 0.0;
         let sample = |i: usize| {
             let time = i as f64 / self.rate;
-            let normal: f64 = StandardNormal.sample(&mut random);
+            let fresh: f64 = StandardNormal.sample(&mut random);
+            // Stationary from the first sample on.
+            let normal = if i == 0 { fresh } else { kept * last + (1.0 - kept * kept).sqrt() * fresh };
+            last = normal;
             let (thrown, spike) =
                 (random.random::<f64>() < self.outliers, self.spike * (2.0 * random.random::<f64>() - 1.0));
             let error = self.noise * normal + if thrown { spike } else { 0.0 };

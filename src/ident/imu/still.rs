@@ -7,7 +7,7 @@
 
 use thiserror::Error;
 
-use crate::ident::least_squares::Measured;
+use crate::ident::Measured;
 
 /// Fewest readings: five seconds at 100 Hz.
 pub const READINGS_MIN: usize = 500;

@@ -7,7 +7,8 @@
 use thiserror::Error;
 
 use super::laws::range;
-use crate::ident::least_squares::{Least, Measured, least_squares};
+use crate::ident::Measured;
+use crate::ident::least_squares::{Least, least_squares};
 
 /// Fewest points, and fewest beyond a toe.
 pub const POINTS_MIN: usize = 10;

@@ -21,7 +21,8 @@ use thiserror::Error;
 use super::laws::{ALPHA_SCALE, ALPHAS, LawFit, principal, range};
 use crate::fem::ends::End;
 use crate::fem::material::Law;
-use crate::ident::least_squares::{Least, Measured, least_squares};
+use crate::ident::Measured;
+use crate::ident::least_squares::{Least, least_squares};
 
 /// Fewest points.
 pub const POINTS_MIN: usize = 8;

@@ -8,7 +8,8 @@ use thiserror::Error;
 
 use super::laws::{ALPHA_SCALE, ALPHAS, LawFit, range, uniaxial};
 use crate::fem::material::Law;
-use crate::ident::least_squares::{Least, Measured, least_squares};
+use crate::ident::Measured;
+use crate::ident::least_squares::{Least, least_squares};
 
 /// Largest strain of the fit of E: there a cubic is within 0.1 % of the laws' own slope at rest.
 pub const SMALL_STRAIN: f64 = 0.1;

@@ -7,7 +7,8 @@
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
 
-use crate::ident::least_squares::{Measured, inverse};
+use crate::ident::Measured;
+use crate::ident::least_squares::inverse;
 
 /// Largest response to another channel, as a share of that to the own one.
 pub const CROSSTALK_MAX: f64 = 0.1;

@@ -12,7 +12,8 @@ use std::ops::RangeInclusive;
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
 
-use crate::ident::least_squares::{Measured, inverse};
+use crate::ident::Measured;
+use crate::ident::least_squares::inverse;
 
 /// Fewest different commands.
 pub const LEVELS_MIN: usize = 6;

@@ -15,7 +15,8 @@
 
 use thiserror::Error;
 
-use crate::ident::least_squares::{Least, Measured, least_squares};
+use crate::ident::Measured;
+use crate::ident::least_squares::{Least, least_squares};
 
 /// Fewest readings.
 pub const READINGS_MIN: usize = 20;

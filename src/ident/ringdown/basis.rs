@@ -60,7 +60,7 @@ impl Shape {
     }
 
     /// Derivative of `columns * coefficients` by parameter `index`, at every time.
-    fn derivative(self, index: usize, columns: &[Vec<f64>], coefficients: &DVector<f64>, time: &[f64]) -> Vec<f64> {
+    pub fn derivative(self, index: usize, columns: &[Vec<f64>], coefficients: &DVector<f64>, time: &[f64]) -> Vec<f64> {
         let first = self.first();
         if index >= 2 * self.oscillations {
             let j = first + index;
@@ -148,7 +148,7 @@ pub(super) fn project(shape: Shape, theta: &[f64], series: &Series, span: f64) -
 
 /// Takes the part of `x` along each of `basis` (orthonormal) off, twice, so that what is left is orthogonal to
 /// rounding; `shares` hears how much went.
-fn orthogonalise(x: &mut [f64], basis: &[Vec<f64>], mut shares: impl FnMut(usize, f64)) {
+pub(super) fn orthogonalise(x: &mut [f64], basis: &[Vec<f64>], mut shares: impl FnMut(usize, f64)) {
     for _ in 0..2 {
         for (i, q) in basis.iter().enumerate() {
             let share = dot(q, x);
@@ -162,7 +162,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-fn norm(a: &[f64]) -> f64 {
+pub(super) fn norm(a: &[f64]) -> f64 {
     dot(a, a).sqrt()
 }
 

@@ -2,47 +2,21 @@
 
 use nalgebra::DMatrix;
 
-use super::noise::coverage_factor;
-
-/// A value and its standard uncertainty, both in the unit of the value.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Estimate {
-    /// Best value.
-    pub value: f64,
-    /// Standard uncertainty (one standard deviation).
-    pub uncertainty: f64,
-}
-
-impl Estimate {
-    /// `value` with `uncertainty`.
-    pub fn new(value: f64, uncertainty: f64) -> Self {
-        Self { value, uncertainty }
-    }
-
-    /// A known value.
-    pub fn exact(value: f64) -> Self {
-        Self { value, uncertainty: 0.0 }
-    }
-
-    /// Whether `truth` lies within the interval of `factor` standard uncertainties.
-    pub fn covers(&self, truth: f64, factor: f64) -> bool {
-        (truth - self.value).abs() <= factor * self.uncertainty
-    }
-}
+use crate::ident::Measured;
 
 /// One damped oscillation, A exp(-d t) cos(w t + phase).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mode {
     /// d, 1/s.
-    pub decay: Estimate,
+    pub decay: Measured,
     /// w, the damped angular frequency, rad/s.
-    pub omega: Estimate,
+    pub omega: Measured,
     /// Covariance of the two, 1/s2.
     pub covariance: f64,
     /// Frequency at which it is seen to oscillate, w / 2 pi, Hz.
-    pub frequency: Estimate,
+    pub frequency: Measured,
     /// Damping ratio d / sqrt(d^2 + w^2), 1 is critical.
-    pub damping_ratio: Estimate,
+    pub damping_ratio: Measured,
     /// Amplitude and phase by channel.
     pub motion: Vec<Motion>,
     /// Whether the frequency lies within the bandwidth that every channel is trusted for.
@@ -53,13 +27,13 @@ pub struct Mode {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
     /// Amplitude, rad or rad/s.
-    pub amplitude: Estimate,
+    pub amplitude: Measured,
     /// Phase of the cosine, rad.
-    pub phase: Estimate,
+    pub phase: Measured,
 }
 
 impl Mode {
-    pub(super) fn new(decay: Estimate, omega: Estimate, covariance: f64, motion: Vec<Motion>, trusted: bool) -> Self {
+    pub(super) fn new(decay: Measured, omega: Measured, covariance: f64, motion: Vec<Motion>, trusted: bool) -> Self {
         let (d, w) = (decay.value, omega.value);
         let square = d * d + w * w;
         let ratio = d / square.sqrt();
@@ -72,19 +46,19 @@ impl Mode {
             decay,
             omega,
             covariance,
-            frequency: Estimate::new(w / turn, omega.uncertainty / turn),
-            damping_ratio: Estimate::new(ratio, variance.max(0.0).sqrt()),
+            frequency: omega.times(1.0 / turn),
+            damping_ratio: decay.follows(ratio, variance.max(0.0).sqrt()),
             motion,
             trusted,
         }
     }
 
     /// Square of the undamped angular frequency, d^2 + w^2 = kt / I, 1/s2.
-    pub fn square(&self) -> Estimate {
+    pub fn square(&self) -> Measured {
         let (d, w) = (self.decay.value, self.omega.value);
         let variance =
             (d * self.decay.uncertainty).powi(2) + (w * self.omega.uncertainty).powi(2) + 2.0 * d * w * self.covariance;
-        Estimate::new(d * d + w * w, 2.0 * variance.max(0.0).sqrt())
+        self.decay.follows(d * d + w * w, 2.0 * variance.max(0.0).sqrt())
     }
 }
 
@@ -92,9 +66,9 @@ impl Mode {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChannelFit {
     /// Value at rest, at the start of the record, rad or rad/s.
-    pub offset: Estimate,
+    pub offset: Measured,
     /// Its drift, per second; `None` where the samples do not speak for one.
-    pub drift: Option<Estimate>,
+    pub drift: Option<Measured>,
     /// Root mean square of the residuals of the samples used, rad or rad/s.
     pub residual: f64,
     /// Samples used.
@@ -111,7 +85,7 @@ pub struct RingDown {
     /// By the energy of their motion in the first channel, the greatest first.
     pub modes: Vec<Mode>,
     /// Slow relaxations seen beside the modes (creep), by rate, 1/s.
-    pub creep: Vec<Estimate>,
+    pub creep: Vec<Measured>,
     /// By channel.
     pub channels: Vec<ChannelFit>,
     /// Covariance of (d, w) of each mode in turn, then of the creep's rates.
@@ -126,14 +100,14 @@ pub struct RingDown {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Relaxation {
     /// Slow rate, 1/s; far beyond critical damping kt/ct.
-    pub rate: Estimate,
+    pub rate: Measured,
     /// Its inverse, s.
-    pub time_constant: Estimate,
+    pub time_constant: Measured,
     /// Fast rate, where the samples resolve it, 1/s.
-    pub fast: Option<Estimate>,
+    pub fast: Option<Measured>,
     /// ct/kt, s: the sum of both time constants. Without the fast one it is the slow time constant, low by
     /// 1/(4 ratio^2) (0.5 % at a damping ratio of 7.3).
-    pub damping_over_stiffness: Estimate,
+    pub damping_over_stiffness: Measured,
     /// By channel.
     pub channels: Vec<ChannelFit>,
     /// Covariance of the rates, slow one first.
@@ -153,16 +127,16 @@ pub enum Decay {
     Relaxation(Relaxation),
 }
 
-impl RingDown {
-    /// Half-width of a 95 % interval, in standard uncertainties.
-    pub fn coverage_factor(&self) -> f64 {
-        coverage_factor(self.freedom)
-    }
-}
-
 impl Relaxation {
-    /// Half-width of a 95 % interval, in standard uncertainties.
-    pub fn coverage_factor(&self) -> f64 {
-        coverage_factor(self.freedom)
+    /// I/kt, s2: the product of both time constants. `None` where the samples do not resolve the fast rate: then the
+    /// inertia is not identifiable from the motion.
+    pub fn inertia_over_stiffness(&self) -> Option<Measured> {
+        let fast = self.fast?;
+        let value = 1.0 / (self.rate.value * fast.value);
+        let (by_slow, by_fast) = (1.0 / self.rate.value, 1.0 / fast.value);
+        let variance = (by_slow * self.rate.uncertainty).powi(2)
+            + (by_fast * fast.uncertainty).powi(2)
+            + 2.0 * by_slow * by_fast * self.covariance[(0, 1)];
+        Some(fast.follows(value, value * variance.max(0.0).sqrt()))
     }
 }

@@ -2,9 +2,9 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::basis::{Projection, Shape, project};
-use super::noise::{median, quantile};
+use super::basis::{Projection, Shape, norm, orthogonalise, project};
 use super::record::Series;
+use crate::ident::noise::{Colour, median, quantile};
 
 /// Steps of one minimisation, at most.
 const STEPS: usize = 100;
@@ -15,6 +15,12 @@ const GENTLE: usize = 5;
 const HUBER: f64 = 1.5;
 /// Beyond so many standard deviations a sample is an outlier: one in 150 000 of a normal distribution.
 pub(super) const OUTLIER: f64 = 4.5;
+/// What a step can still win, against the cost, below which it is not taken: on the way a thousandth of a standard
+/// uncertainty of any parameter, in the end rounding.
+const ROUGH: f64 = 1e-9;
+const FINE: f64 = 1e-13;
+/// Relative distance to an edge of the parameters that is none.
+const EDGE: f64 = 1e-4;
 /// Samples that the start of the motion has at least, for the check that it is not all "outliers".
 const HEAD: usize = 12;
 
@@ -38,27 +44,44 @@ impl Fit {
         self.series.iter().map(|s| s.weight.iter().filter(|w| **w > 0.0).count()).sum()
     }
 
-    /// Degrees of freedom.
-    pub fn freedom(&self) -> usize {
-        self.used().saturating_sub(self.shape.parameters(self.series.len())).max(1)
+    /// Degrees of freedom: of so many independent samples as have left residuals of these `colours`.
+    pub fn freedom(&self, colours: &[Colour]) -> usize {
+        let samples = colours.iter().map(Colour::samples).fold(1.0, f64::max);
+        let white = self.used().saturating_sub(self.shape.parameters(self.series.len()));
+        ((white as f64 / samples) as usize).max(1)
+    }
+
+    /// What the noise of each channel looks like.
+    pub fn colours(&self) -> Vec<Colour> {
+        let of = |(s, p): (&Series, &Projection)| {
+            let kept = |x: &[f64]| -> Vec<f64> {
+                x.iter().zip(&s.weight).filter(|(_, w)| **w > 0.0).map(|(x, _)| *x).collect()
+            };
+            let columns = self.shape.columns(&self.theta, &s.time, self.span);
+            let slope = |i: usize| self.shape.derivative(i, &columns, &p.coefficients, &s.time);
+            let mut basis: Vec<Vec<f64>> = vec![];
+            for column in columns.iter().cloned().chain((0..self.shape.nonlinear()).map(slope)) {
+                let mut q = kept(&column);
+                let before = norm(&q);
+                orthogonalise(&mut q, &basis, |_, _| ());
+                let left = norm(&q);
+                if left > 1e-9 * before {
+                    q.iter_mut().for_each(|x| *x /= left);
+                    basis.push(q);
+                }
+            }
+            Colour::of(&kept(&p.residuals), &basis)
+        };
+        self.series.iter().zip(&self.projections).map(of).collect()
     }
 
     pub fn normal(&self) -> DMatrix<f64> {
         let count = self.shape.nonlinear();
         self.projections.iter().fold(DMatrix::zeros(count, count), |sum, p| sum + &p.normal)
     }
-
-    /// Sum over all samples of (residual / scale)^2, each at most [`OUTLIER`]^2: minus twice the log-likelihood of a
-    /// normal distribution with a floor of outliers.
-    pub fn misfit(&self, scales: &[f64]) -> f64 {
-        let channel = |(p, s): (&Projection, &f64)| -> f64 {
-            p.residuals.iter().map(|r| (r / s).powi(2).min(OUTLIER * OUTLIER)).sum()
-        };
-        self.projections.iter().zip(scales).map(channel).sum()
-    }
 }
 
-/// Where the parameters may be: frequencies and rates positive, up to half a turn or e-fold a sample and more.
+/// Where the parameters may be: frequencies up to half a turn a sample, and nothing that is gone within one.
 #[derive(Clone, Copy, Debug)]
 struct Bounds {
     omega_max: f64,
@@ -69,7 +92,13 @@ struct Bounds {
 impl Bounds {
     fn of(series: &[Series], span: f64) -> Self {
         let interval = series.iter().map(|s| s.interval).fold(f64::INFINITY, f64::min);
-        Self { omega_max: std::f64::consts::PI / interval, rate_max: 5.0 / interval, span }
+        Self { omega_max: std::f64::consts::PI / interval, rate_max: 1.5 / interval, span }
+    }
+
+    /// Whether the edge, and not a minimum, has ended the search: what the samples cannot tell.
+    fn touched(self, shape: Shape, theta: &[f64]) -> bool {
+        let scaled = |factor: f64| theta.iter().map(|x| factor * x).collect::<Vec<_>>();
+        !self.admit(shape, &scaled(1.0 + EDGE)) || !self.admit(shape, &scaled(1.0 - EDGE))
     }
 
     fn admit(self, shape: Shape, theta: &[f64]) -> bool {
@@ -84,7 +113,7 @@ impl Bounds {
 /// out, until the outliers are the same again. `None` where nothing converges.
 pub(super) fn fit(shape: Shape, start: &[f64], series: &[Series], span: f64) -> Option<Fit> {
     let mut series = series.to_vec();
-    let (mut theta, mut projections) = minimise(shape, start, &series, span)?;
+    let (mut theta, mut projections) = minimise(shape, start, &series, span, ROUGH)?;
     let mut scales = vec![];
     let mut out: Vec<usize> = vec![];
     for round in 0..ROUNDS {
@@ -104,7 +133,7 @@ pub(super) fn fit(shape: Shape, start: &[f64], series: &[Series], span: f64) -> 
                 *w = share / scales[c].powi(2);
             }
         }
-        (theta, projections) = minimise(shape, &theta, &series, span)?;
+        (theta, projections) = minimise(shape, &theta, &series, span, ROUGH)?;
         if !gentle && next == out {
             break;
         }
@@ -119,7 +148,10 @@ pub(super) fn fit(shape: Shape, start: &[f64], series: &[Series], span: f64) -> 
         scales[c] = (used.iter().map(|r| r * r).sum::<f64>() / freedom).sqrt().max(s.floor).max(tiny(s));
         s.weight.iter_mut().filter(|w| **w > 0.0).for_each(|w| *w = scales[c].powi(-2));
     }
-    let (theta, projections) = minimise(shape, &theta, &series, span)?;
+    let (theta, projections) = minimise(shape, &theta, &series, span, FINE)?;
+    if Bounds::of(&series, span).touched(shape, &theta) {
+        return None;
+    }
     Some(Fit { shape, theta, projections, scales, series, span })
 }
 
@@ -139,8 +171,14 @@ fn scale(shape: Shape, theta: &[f64], projection: &Projection, series: &Series) 
     (1.4826 * free * median(&sizes)).max(quantile(head, 0.75) / 2.5).max(series.floor).max(tiny(series))
 }
 
-/// Minimises the weighted sum of squares over the poles.
-fn minimise(shape: Shape, start: &[f64], series: &[Series], span: f64) -> Option<(Vec<f64>, Vec<Projection>)> {
+/// Minimises the weighted sum of squares over the poles, until a step would win less than `tolerance` of it.
+fn minimise(
+    shape: Shape,
+    start: &[f64],
+    series: &[Series],
+    span: f64,
+    tolerance: f64,
+) -> Option<(Vec<f64>, Vec<Projection>)> {
     let all =
         |theta: &[f64]| -> Option<Vec<Projection>> { series.iter().map(|s| project(shape, theta, s, span)).collect() };
     let bounds = Bounds::of(series, span);
@@ -164,8 +202,7 @@ fn minimise(shape: Shape, start: &[f64], series: &[Series], span: f64) -> Option
             (0..inner).for_each(|i| lifted[(i, i)] *= 1.0 + damping);
             let step = lifted.cholesky()?.solve(&gradient);
             let next: Vec<f64> = theta.iter().zip(step.iter()).map(|(t, s)| t + s).collect();
-            // What the step can still win, against the cost: below rounding there is nothing to be had.
-            if step.dot(&gradient) <= 1e-13 * cost {
+            if step.dot(&gradient) <= tolerance * cost {
                 return Some((theta, at));
             }
             if bounds.admit(shape, &next)

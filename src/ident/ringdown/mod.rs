@@ -25,17 +25,15 @@ mod basis;
 mod decay;
 mod evidence;
 mod fit;
-mod noise;
 mod plain;
 mod record;
 mod start;
 mod summary;
 mod torsion;
 
-pub use decay::{ChannelFit, Decay, Estimate, Mode, Motion, Relaxation, RingDown};
-pub use noise::coverage_factor;
+pub use decay::{ChannelFit, Decay, Mode, Motion, Relaxation, RingDown};
 pub use plain::{PlainDecay, PlainError, curve_fit, log_decrement};
-pub use record::{CLIPPED_MAX, Channel, Measured, SAMPLES_MIN};
+pub use record::{CLIPPED_MAX, Channel, ChannelKind, SAMPLES_MIN};
 pub use torsion::{SEPARATION_MIN, Torsion, TorsionError, torsion_from_added};
 
 /// Evidence, in twice log-likelihood beyond what the parameters cost, below which nothing is said to have moved.

@@ -13,7 +13,7 @@ pub const CLIPPED_MAX: f64 = 0.5;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Channel<'a> {
     /// What it measures.
-    pub quantity: Measured,
+    pub kind: ChannelKind,
     /// When, s, increasing.
     pub times: &'a [f64],
     /// What, rad or rad/s; as many as times.
@@ -28,7 +28,7 @@ pub struct Channel<'a> {
 
 /// What a channel measures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Measured {
+pub enum ChannelKind {
     /// Angles, rad.
     Angle,
     /// Rates, rad/s.
@@ -38,19 +38,19 @@ pub enum Measured {
 impl<'a> Channel<'a> {
     /// Angles without quantisation or limit, trusted up to `bandwidth` (Hz).
     pub fn angle(times: &'a [f64], values: &'a [f64], bandwidth: f64) -> Self {
-        Self { quantity: Measured::Angle, times, values, resolution: 0.0, limit: f64::INFINITY, bandwidth }
+        Self { kind: ChannelKind::Angle, times, values, resolution: 0.0, limit: f64::INFINITY, bandwidth }
     }
 
     /// Rates without quantisation that clip at `limit` (rad/s), trusted up to `bandwidth` (Hz).
     pub fn rate(times: &'a [f64], values: &'a [f64], limit: f64, bandwidth: f64) -> Self {
-        Self { quantity: Measured::Rate, limit, ..Self::angle(times, values, bandwidth) }
+        Self { kind: ChannelKind::Rate, limit, ..Self::angle(times, values, bandwidth) }
     }
 }
 
 /// A channel's usable samples, relative to the start of the record, with the weights of the fit.
 #[derive(Clone, Debug)]
 pub(super) struct Series {
-    pub quantity: Measured,
+    pub kind: ChannelKind,
     /// Since the start of the record, s.
     pub time: Vec<f64>,
     pub value: Vec<f64>,
@@ -111,7 +111,7 @@ fn usable(c: &Channel) -> Series {
     let variance = value.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count;
     let floor = c.resolution / 12f64.sqrt();
     Series {
-        quantity: c.quantity,
+        kind: c.kind,
         time: kept.iter().map(|&i| c.times[i]).collect(),
         weight: vec![1.0 / variance.max(floor * floor).max(f64::MIN_POSITIVE.sqrt()); value.len()],
         value,

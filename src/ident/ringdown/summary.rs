@@ -5,10 +5,11 @@ use std::f64::consts::TAU;
 use nalgebra::DMatrix;
 
 use super::RingDownError;
-use super::decay::{ChannelFit, Decay, Estimate, Mode, Motion, Relaxation, RingDown};
-use super::evidence::colouring;
+use super::decay::{ChannelFit, Decay, Mode, Motion, Relaxation, RingDown};
 use super::fit::Fit;
-use super::record::Measured;
+use super::record::{ChannelKind, Series};
+use crate::ident::Measured;
+use crate::ident::noise::Colour;
 
 /// Cycles that a record needs to hold, unless the motion is gone before that; a little under two, so that two cycles
 /// cut at the last sample are two.
@@ -24,20 +25,22 @@ const ALIAS: f64 = 1.6;
 /// Everything about the poles that the uncertainties need.
 struct Poles {
     covariance: DMatrix<f64>,
+    freedom: usize,
 }
 
 pub(super) fn summarise(fit: &Fit, start: f64) -> Result<Decay, RingDownError> {
     let shape = fit.shape;
     let plain = fit.normal().try_inverse().ok_or(RingDownError::NotConverged)?;
     // The noise counts where the mode is: a coloured one is denser there, or thinner.
-    let colours: Vec<f64> = (0..shape.nonlinear())
-        .map(|i| {
-            let omega = if i < 2 * shape.oscillations { fit.theta[i / 2 * 2 + 1] } else { 0.0 };
-            colouring(fit, omega).sqrt()
-        })
-        .collect();
-    let covariance = DMatrix::from_fn(plain.nrows(), plain.ncols(), |i, j| plain[(i, j)] * colours[i] * colours[j]);
-    let poles = Poles { covariance };
+    let colours = fit.colours();
+    let dense = |i: usize| {
+        let omega = if i < 2 * shape.oscillations { fit.theta[i / 2 * 2 + 1] } else { 0.0 };
+        let at = |(c, s): (&Colour, &Series)| c.density(omega * s.interval);
+        colours.iter().zip(&fit.series).map(at).fold(1.0, f64::max).sqrt()
+    };
+    let density: Vec<f64> = (0..shape.nonlinear()).map(dense).collect();
+    let covariance = DMatrix::from_fn(plain.nrows(), plain.ncols(), |i, j| plain[(i, j)] * density[i] * density[j]);
+    let poles = Poles { covariance, freedom: fit.freedom(&colours) };
     match shape.oscillations {
         0 => relaxation(fit, &poles, start).map(Decay::Relaxation),
         _ => ring_down(fit, &poles, start).map(Decay::RingDown),
@@ -45,8 +48,12 @@ pub(super) fn summarise(fit: &Fit, start: f64) -> Result<Decay, RingDownError> {
 }
 
 impl Poles {
-    fn estimate(&self, fit: &Fit, index: usize) -> Estimate {
-        Estimate::new(fit.theta[index], self.covariance[(index, index)].max(0.0).sqrt())
+    fn measured(&self, value: f64, variance: f64) -> Measured {
+        Measured { value, uncertainty: variance.max(0.0).sqrt(), freedom: self.freedom }
+    }
+
+    fn estimate(&self, fit: &Fit, index: usize) -> Measured {
+        self.measured(fit.theta[index], self.covariance[(index, index)])
     }
 }
 
@@ -60,12 +67,11 @@ fn channels(fit: &Fit, poles: &Poles) -> Vec<ChannelFit> {
     let of = |c: usize| {
         let (p, s) = (&fit.projections[c], &fit.series[c]);
         let covariance = linear(fit, poles, c);
-        let estimate = |j: usize| Estimate::new(p.coefficients[j], covariance[(j, j)].sqrt());
+        let estimate = |j: usize| poles.measured(p.coefficients[j], covariance[(j, j)]);
         let kept: Vec<f64> = p.residuals.iter().zip(&s.weight).filter(|(_, w)| **w > 0.0).map(|(r, _)| r * r).collect();
-        let per_second = |e: Estimate| Estimate::new(e.value / fit.span, e.uncertainty / fit.span);
         ChannelFit {
             offset: estimate(0),
-            drift: fit.shape.drift.then(|| per_second(estimate(1))),
+            drift: fit.shape.drift.then(|| estimate(1).times(1.0 / fit.span)),
             residual: (kept.iter().sum::<f64>() / kept.len().max(1) as f64).sqrt(),
             used: kept.len(),
             outliers: s.time.len() - kept.len(),
@@ -99,7 +105,7 @@ fn ring_down(fit: &Fit, poles: &Poles, start: f64) -> Result<RingDown, RingDownE
         creep: (2 * shape.oscillations..shape.nonlinear()).map(|i| poles.estimate(fit, i)).collect(),
         channels: channels(fit, poles),
         covariance: poles.covariance.select_rows(&rows).select_columns(&rows),
-        freedom: fit.freedom(),
+        freedom: poles.freedom,
         start,
     })
 }
@@ -107,8 +113,8 @@ fn ring_down(fit: &Fit, poles: &Poles, start: f64) -> Result<RingDown, RingDownE
 /// Whether the strongest mode may be believed.
 fn check(mode: &Mode, fit: &Fit, bandwidth: f64) -> Result<(), RingDownError> {
     let frequency = mode.frequency.value;
-    let find = |q: Measured| fit.series.iter().position(|s| s.quantity == q);
-    if let (Some(angle), Some(rate)) = (find(Measured::Angle), find(Measured::Rate)) {
+    let find = |kind: ChannelKind| fit.series.iter().position(|s| s.kind == kind);
+    if let (Some(angle), Some(rate)) = (find(ChannelKind::Angle), find(ChannelKind::Rate)) {
         let ratio = mode.motion[rate].amplitude.value / mode.motion[angle].amplitude.value;
         let off = ratio / mode.square().value.sqrt();
         if !(1.0 / ALIAS..ALIAS).contains(&off) {
@@ -141,8 +147,8 @@ fn motion(fit: &Fit, poles: &Poles, channel: usize, k: usize) -> Motion {
     let along = c * c * aa + 2.0 * c * s * ab + s * s * bb;
     let across = s * s * aa - 2.0 * c * s * ab + c * c * bb;
     Motion {
-        amplitude: Estimate::new(amplitude, along.max(0.0).sqrt()),
-        phase: Estimate::new((-b).atan2(a), across.max(0.0).sqrt() / amplitude),
+        amplitude: poles.measured(amplitude, along),
+        phase: poles.measured((-b).atan2(a), across / (amplitude * amplitude)),
     }
 }
 
@@ -157,13 +163,13 @@ fn relaxation(fit: &Fit, poles: &Poles, start: f64) -> Result<Relaxation, RingDo
     if slow.uncertainty > RELATIVE_MAX * slow.value {
         return Err(RingDownError::Unresolved { decay: slow.value, uncertainty: slow.uncertainty });
     }
-    let inverse = |e: Estimate| Estimate::new(1.0 / e.value, e.uncertainty / (e.value * e.value));
+    let inverse = |e: Measured| e.follows(1.0 / e.value, e.uncertainty / (e.value * e.value));
     let covariance = poles.covariance.select_rows(&order).select_columns(&order);
     let both = fast.map_or(inverse(slow), |fast| {
         let (s, f) = (inverse(slow), inverse(fast));
         let shared = covariance[(0, 1)] / (slow.value * fast.value).powi(2);
         let variance = s.uncertainty.powi(2) + f.uncertainty.powi(2) + 2.0 * shared;
-        Estimate::new(s.value + f.value, variance.max(0.0).sqrt())
+        poles.measured(s.value + f.value, variance)
     });
     Ok(Relaxation {
         rate: slow,
@@ -172,7 +178,7 @@ fn relaxation(fit: &Fit, poles: &Poles, start: f64) -> Result<Relaxation, RingDo
         damping_over_stiffness: both,
         channels: channels(fit, poles),
         covariance,
-        freedom: fit.freedom(),
+        freedom: poles.freedom,
         start,
     })
 }

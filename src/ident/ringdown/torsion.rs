@@ -2,7 +2,8 @@
 
 use thiserror::Error;
 
-use super::decay::{Estimate, Mode};
+use super::decay::Mode;
+use crate::ident::Measured;
 
 /// Fewest standard uncertainties by which an added inertia must lower the square of the frequency.
 pub const SEPARATION_MIN: f64 = 5.0;
@@ -11,11 +12,11 @@ pub const SEPARATION_MIN: f64 = 5.0;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Torsion {
     /// kt, N m/rad.
-    pub stiffness: Estimate,
+    pub stiffness: Measured,
     /// ct, N m s/rad.
-    pub damping: Estimate,
+    pub damping: Measured,
     /// I, kg m2.
-    pub inertia: Estimate,
+    pub inertia: Measured,
 }
 
 /// Why two ring-downs do not give an inertia.
@@ -34,16 +35,18 @@ pub enum TorsionError {
 
 impl Mode {
     /// kt = I (d^2 + w^2) and ct = 2 I d, with the uncertainties of the mode and of `inertia` (kg m2).
-    pub fn torsion(&self, inertia: Estimate) -> Torsion {
+    pub fn torsion(&self, inertia: Measured) -> Torsion {
         let square = self.square();
         let stiffness = inertia.value * square.value;
         let damping = 2.0 * inertia.value * self.decay.value;
+        let freedom = self.decay.freedom.min(inertia.freedom);
+        let measured = |value, uncertainty| Measured { value, uncertainty, freedom };
         Torsion {
-            stiffness: Estimate::new(
+            stiffness: measured(
                 stiffness,
                 (inertia.value * square.uncertainty).hypot(square.value * inertia.uncertainty),
             ),
-            damping: Estimate::new(
+            damping: measured(
                 damping,
                 (2.0 * inertia.value * self.decay.uncertainty).hypot(2.0 * self.decay.value * inertia.uncertainty),
             ),
@@ -54,7 +57,7 @@ impl Mode {
 
 /// Inertia, kt and ct from two ring-downs of the same FREE, `bare` and with `added` inertia (kg m2) at its end:
 /// with S = d^2 + w^2 of each, kt = I S0 = (I + added) S1.
-pub fn torsion_from_added(bare: &Mode, loaded: &Mode, added: Estimate) -> Result<Torsion, TorsionError> {
+pub fn torsion_from_added(bare: &Mode, loaded: &Mode, added: Measured) -> Result<Torsion, TorsionError> {
     if added.value.is_nan() || added.value <= 0.0 {
         return Err(TorsionError::Added(added.value));
     }
@@ -79,12 +82,11 @@ pub fn torsion_from_added(bare: &Mode, loaded: &Mode, added: Estimate) -> Result
         + (by_omega * bare.omega.uncertainty).powi(2)
         + 2.0 * by_decay * by_omega * bare.covariance;
     let others = (2.0 * decay * by_1 * s1.uncertainty).powi(2) + (2.0 * decay * ratio * added.uncertainty).powi(2);
+    let freedom = s0.freedom.min(s1.freedom).min(added.freedom);
+    let measured = |value, uncertainty| Measured { value, uncertainty, freedom };
     Ok(Torsion {
-        stiffness: Estimate::new(
-            inertia * s0.value,
-            variance(inertia + s0.value * by_0, s0.value * by_1, s0.value * ratio),
-        ),
-        damping: Estimate::new(2.0 * inertia * decay, (own + others).max(0.0).sqrt()),
-        inertia: Estimate::new(inertia, variance(by_0, by_1, ratio)),
+        stiffness: measured(inertia * s0.value, variance(inertia + s0.value * by_0, s0.value * by_1, s0.value * ratio)),
+        damping: measured(2.0 * inertia * decay, (own + others).max(0.0).sqrt()),
+        inertia: measured(inertia, variance(by_0, by_1, ratio)),
     })
 }
