@@ -33,7 +33,8 @@ impl Curve {
 }
 
 impl Mesh {
-    /// Graded meshes of rising density, from 1.
+    /// Graded meshes of rising density, from 1, the default. For the reference tube level 1 leaves 0.03 % of free motion and
+    /// 0.4 % of blocked force (1 % at 80 deg), level 2 about a third of it; wide strips need level 2.
     pub fn level(level: usize) -> Mesh {
         Mesh::Graded { strip: level, growth: 4.0_f64.powf(1.0 / level as f64) }
     }

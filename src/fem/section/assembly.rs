@@ -174,10 +174,10 @@ impl Assembly {
                     self.coupling[2][global] -= factor * gradient;
                     self.residual[global] -= pressure * factor * gradient;
                     for (a, &node_a) in nodes.iter().enumerate().skip(b) {
-                        for at_a in 0..6 {
+                        for (at_a, second) in second.iter().enumerate() {
                             let row = 3 * node_a + at_a % 3;
-                            if row >= global && second[at_a][at_b] != 0.0 {
-                                let value = pressure * factor * scaled(a, at_a) * second[at_a][at_b];
+                            if row >= global && second[at_b] != 0.0 {
+                                let value = pressure * factor * scaled(a, at_a) * second[at_b];
                                 self.stiffness.add(row, global, -value);
                             }
                         }

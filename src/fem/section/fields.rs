@@ -189,7 +189,7 @@ impl Sector {
         let rings = self.rings();
         let radius = |ring: usize| {
             let radii = &self.grid.radii[ring / 2..];
-            if ring % 2 == 0 { radii[0] } else { 0.5 * (radii[0] + radii[1]) }
+            if ring.is_multiple_of(2) { radii[0] } else { 0.5 * (radii[0] + radii[1]) }
         };
         // The isotropic response at rest is stress-free on its own.
         Fields {

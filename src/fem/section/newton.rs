@@ -33,6 +33,8 @@ pub(super) struct Solution {
     /// Negative pivots of the fields' second variation at held (stretch, twist, pressure).
     pub(super) negative: usize,
     pub(super) energy: f64,
+    /// The equilibrium before this one, where pressure steps lead from it.
+    pub(super) before: Option<Box<Solution>>,
 }
 
 /// Storage that every solve reuses.
@@ -64,7 +66,7 @@ impl Workspace {
             let (responses, hessian) = self.saddle.condense(sector, &self.assembly, found);
             if found {
                 let (conjugate, energy) = (self.assembly.conjugate, self.assembly.energy);
-                return Some(Solution { fields, conjugate, hessian, responses, negative, energy });
+                return Some(Solution { fields, conjugate, hessian, responses, negative, energy, before: None });
             }
             let mut step = self.saddle.correction(sector, &self.assembly);
             let conjugate = self.assembly.conjugate + self.assembly.conjugate_change(&step);
@@ -145,6 +147,40 @@ impl Solution {
             *global += change;
         }
         fields
+    }
+
+    /// Bends a prediction along the tangent onto the parabola through the equilibrium before, where all three lie on
+    /// one path of pressure: then `x + a h + b h^2` with the part of b from `x_before = x - a h0 + b h0^2`.
+    pub(super) fn bend(&self, start: &mut Fields, conditions: &[Condition; 3]) {
+        let Some(before) = &self.before else { return };
+        let Condition::Held(goal) = conditions[2] else { return };
+        let gone = self.fields.globals[2] - before.fields.globals[2];
+        let ratio = (goal - self.fields.globals[2]) / gone;
+        let same = (0..2).all(|k| {
+            let (a, b, c) = match conditions[k] {
+                Condition::Held(value) => (before.fields.globals[k], self.fields.globals[k], value),
+                Condition::Conjugate(value) => (before.conjugate[k], self.conjugate[k], value),
+            };
+            (a - c).abs() < 1e-8 && (b - c).abs() < 1e-8
+        });
+        if !same || !(0.0..=2.0).contains(&ratio) || ratio == 0.0 {
+            return;
+        }
+        let bent = |old: f64, here: f64, ahead: &mut f64| {
+            let along = *ahead - here;
+            *ahead += ratio * ratio * (old - here + along / ratio);
+        };
+        let (old, here) = (&before.fields, &self.fields);
+        for ((a, b), c) in old.position.iter().zip(&here.position).zip(&mut start.position) {
+            bent(*a, *b, c);
+        }
+        let flat = |fields: &Fields| fields.multiplier.clone().into_iter().flatten();
+        for ((a, b), c) in flat(old).zip(flat(here)).zip(start.multiplier.iter_mut().flatten()) {
+            bent(a, b, c);
+        }
+        for k in 0..3 {
+            bent(old.globals[k], here.globals[k], &mut start.globals[k]);
+        }
     }
 
     /// Whether the equilibrium is a minimum under dead loads on the globals that are not held, pressure given.

@@ -1,6 +1,6 @@
 //! Paths of stable equilibria: steps in pressure and ends, and limits by steps in volume.
 //!
-//! A step is predicted along the tangent and accepted only where Newton's method ends near the prediction on an
+//! A step is predicted along the tangent (and the parabola through the state before) and accepted only where Newton's method ends near the prediction on an
 //! equilibrium whose second variation is positive definite; otherwise it is halved. Where pressure steps end, the
 //! volume leads: `dP/dV` passes through zero smoothly at a limit point of the pressure.
 
@@ -33,7 +33,8 @@ fn step(sector: &Sector, workspace: &mut Workspace, from: &Solution, conditions:
     if change.x.abs().max(change.y.abs()) > LARGEST {
         return None;
     }
-    let start = from.predicted(&change);
+    let mut start = from.predicted(&change);
+    from.bend(&mut start, &conditions);
     let predicted = start.position.clone();
     let solution = workspace.solve(sector, start, conditions)?;
     let distance = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
@@ -67,7 +68,8 @@ pub(super) fn follow(
         let next = if part + 1.0001 * length >= 1.0 { 1.0 } else { part + length };
         match step(sector, workspace, solution, at(next)).filter(|found| found.stable(free(&goal))) {
             Some(found) => {
-                *solution = found;
+                let before = std::mem::replace(solution, found);
+                solution.before = Some(Box::new(Solution { before: None, ..before }));
                 part = next;
                 length *= 2.0;
             }

@@ -177,7 +177,7 @@ impl Phased {
             let maps = Maps::new(order, sector.winding + twist, &d0);
             let mut form = SMatrix::<f64, POINT, POINT>::zeros();
             let mut volumes = [SVector::<f64, POINT>::zeros(); 2];
-            for part in 0..2 {
+            for (part, volume) in volumes.iter_mut().enumerate() {
                 let mut across = Map::zeros();
                 across.fixed_view_mut::<3, 3>(0, 9 * part).copy_from(&Matrix3::identity());
                 let axial = maps.along[part] + maps.shear[part] - maps.around[part] * sector.winding;
@@ -185,18 +185,14 @@ impl Phased {
                 let gradient = SMatrix::<f64, 9, POINT>::from_fn(|row, column| columns[row % 3][(row / 3, column)]);
                 form += gradient.transpose() * tangent * gradient;
                 let flat = SVector::<f64, 9>::from_fn(|row, _| cofactor[(row / 3, row % 3)]);
-                volumes[part] = gradient.transpose() * flat;
+                *volume = gradient.transpose() * flat;
             }
             add_bend(&mut form, &(stress.column(2).transpose() * maps.bend), 1.0);
             form *= point.weight;
 
-            let [even, odd] = [0, 1].map(|part| {
-                move |column: &SVector<f64, POINT>, shape: &[f64; 3], component: usize| -> f64 {
-                    (0..3).map(|which| shape[which] * column[9 * part + 3 * which + component]).sum()
-                }
-            });
-            let project = |column: &SVector<f64, POINT>, shape: &[f64; 3], component: usize| {
-                if component < 3 { even(column, shape, component) } else { odd(column, shape, component - 3) }
+            let project = |column: &SVector<f64, POINT>, shape: &[f64; 3], component: usize| -> f64 {
+                let base = 9 * (component / 3) + component % 3;
+                (0..3).map(|which| shape[which] * column[base + 3 * which]).sum()
             };
             for (b, shape_b) in point.shape.iter().enumerate() {
                 for c in 0..6 {
