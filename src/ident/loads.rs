@@ -22,7 +22,8 @@
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
 
-use super::least_squares::{Measured, inverse};
+use super::Measured;
+use super::least_squares::inverse;
 
 /// Fewest points.
 pub const POINTS_MIN: usize = 6;

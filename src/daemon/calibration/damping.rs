@@ -8,7 +8,7 @@ use crate::config::{Calibration, Rig};
 use crate::ident::pluck::{
     Loaded, PluckError, PluckFit, Reading, Regime, Release, Rules, evened, fit_plucks, releases, torsion_of_series,
 };
-use crate::ident::ringdown::{Estimate, Torsion};
+use crate::ident::ringdown::Torsion;
 use crate::ident::{Measured, RingDownError};
 use crate::record::{Run, damping_sheet};
 use crate::sim::Hand;
@@ -159,16 +159,16 @@ pub fn evaluate(rig: &Rig, subject: usize, looks: &[Look], date: &str) -> Result
     let mut calibration = rig.calibrations[subject].clone();
     let known = |key: &Key, value: f64| {
         let uncertainty = calibration.entry(key).and_then(|entry| entry.standard_uncertainty);
-        (Estimate::new(value, uncertainty.unwrap_or_default()), uncertainty.is_some())
+        (Measured { uncertainty: uncertainty.unwrap_or_default(), ..Measured::exact(value) }, uncertainty.is_some())
     };
     let (kt, kt_known) = known(&keys::TORSIONAL_STIFFNESS, free.torsional_stiffness);
     let (inertia, inertia_known) = known(&keys::END_INERTIA, free.inertia);
     let mut remarks = Vec::new();
     let mut facts = Vec::new();
     let freedom = looks.iter().map(|look| look.releases.len()).sum::<usize>() - 1;
-    let measured = |e: Estimate| Measured { value: e.value, uncertainty: e.uncertainty, freedom };
+    let measured = |e: Measured| Measured { freedom, ..e };
     let ringing: Vec<Loaded> = looks.iter().filter_map(Look::loaded).collect();
-    let mut found: Vec<(&Key, Estimate, String)> = Vec::new();
+    let mut found: Vec<(&Key, Measured, String)> = Vec::new();
     let plucks = freedom + 1;
     match (ringing.as_slice(), &last.fit.regime) {
         ([], Regime::Creeps { time }) => {
@@ -205,7 +205,7 @@ pub fn evaluate(rig: &Rig, subject: usize, looks: &[Look], date: &str) -> Result
             let whole = quotient(kt, only.stiffness);
             let method = format!("ring-down after {plucks} plucks with an added inertia, and kt of the calibration");
             found.push((&keys::TORSIONAL_DAMPING, product(only.damping, whole), method));
-            let rest = Estimate::new(whole.value - only.added, whole.uncertainty);
+            let rest = Measured { value: whole.value - only.added, ..whole };
             facts.push(("its own inertia".into(), format!("{:.3e} +- {:.1e} kg m2", rest.value, rest.uncertainty)));
             remarks.push(
                 "one added inertia only, and no ring-down without it: the FREE's own inertia stays as it was; a second added \
@@ -251,14 +251,14 @@ pub fn evaluate(rig: &Rig, subject: usize, looks: &[Look], date: &str) -> Result
 }
 
 fn enter(
-    found: &[(&Key, Estimate, String)],
+    found: &[(&Key, Measured, String)],
     last: &Look,
     date: &str,
     calibration: &mut Calibration,
-    measured: impl Fn(Estimate) -> Measured,
+    measured: impl Fn(Measured) -> Measured,
 ) -> Vec<FoundValue> {
     let residual = Some(last.fit.residual);
-    let one = |(key, value, method): &(&Key, Estimate, String)| {
+    let one = |(key, value, method): &(&Key, Measured, String)| {
         let origin = Origin { run: &last.run, date, method, residual };
         origin.enter(calibration, key, measured(*value), None)
     };
@@ -269,8 +269,8 @@ fn enter(
 fn compare(
     facts: &mut Vec<(String, String)>,
     remarks: &mut Vec<String>,
-    ringing: Estimate,
-    known: Estimate,
+    ringing: Measured,
+    known: Measured,
     how: &str,
 ) {
     let text = format!(
@@ -288,18 +288,20 @@ fn compare(
 }
 
 /// kt and ct from one record and the whole inertia.
-fn torsion(one: &Loaded, inertia: Estimate) -> Torsion {
+fn torsion(one: &Loaded, inertia: Measured) -> Torsion {
     Torsion { stiffness: product(one.stiffness, inertia), damping: product(one.damping, inertia), inertia }
 }
 
-fn product(a: Estimate, b: Estimate) -> Estimate {
+fn product(a: Measured, b: Measured) -> Measured {
     let value = a.value * b.value;
-    Estimate::new(value, value * (a.uncertainty / a.value).hypot(b.uncertainty / b.value))
+    let uncertainty = value * (a.uncertainty / a.value).hypot(b.uncertainty / b.value);
+    Measured { value, uncertainty, freedom: a.freedom.min(b.freedom) }
 }
 
-fn quotient(a: Estimate, b: Estimate) -> Estimate {
+fn quotient(a: Measured, b: Measured) -> Measured {
     let value = a.value / b.value;
-    Estimate::new(value, value * (a.uncertainty / a.value).hypot(b.uncertainty / b.value))
+    let uncertainty = value * (a.uncertainty / a.value).hypot(b.uncertainty / b.value);
+    Measured { value, uncertainty, freedom: a.freedom.min(b.freedom) }
 }
 
 /// Why ce stays as it is.

@@ -2,7 +2,8 @@
 
 use thiserror::Error;
 
-use crate::ident::ringdown::{Estimate, SEPARATION_MIN, Torsion};
+use crate::ident::Measured;
+use crate::ident::ringdown::{SEPARATION_MIN, Torsion};
 
 /// What one record says, with an inertia added.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -10,9 +11,9 @@ pub struct Loaded {
     /// Added inertia, kg m2, taken as exact.
     pub added: f64,
     /// ct / I of the whole, 1/s.
-    pub damping: Estimate,
+    pub damping: Measured,
     /// kt / I of the whole, 1/s2.
-    pub stiffness: Estimate,
+    pub stiffness: Measured,
 }
 
 /// Why records do not give an inertia.
@@ -38,6 +39,8 @@ pub fn torsion_of_series(records: &[Loaded]) -> Result<Torsion, SeriesError> {
     if records.len() < 2 {
         return Err(SeriesError::One);
     }
+    let freedom = records.iter().map(|r| r.stiffness.freedom.min(r.damping.freedom)).min().unwrap_or(1);
+    let measured = |value: f64, uncertainty: f64| Measured { value, uncertainty, freedom };
     // y = 1 / S with its variance.
     let points: Vec<(f64, f64, f64)> = records
         .iter()
@@ -61,11 +64,11 @@ pub fn torsion_of_series(records: &[Loaded]) -> Result<Torsion, SeriesError> {
     let intercept = (wy - slope * wa) / w;
     let (intercept_variance, covariance) = (waa / spread, -wa / spread);
     // kt = 1 / slope, I = intercept / slope.
-    let stiffness = Estimate::new(1.0 / slope, slope_variance.sqrt() / slope.powi(2));
+    let stiffness = measured(1.0 / slope, slope_variance.sqrt() / slope.powi(2));
     let inertia = intercept / slope;
     let by = (1.0 / slope, -intercept / slope.powi(2));
     let variance = by.0.powi(2) * intercept_variance + by.1.powi(2) * slope_variance + 2.0 * by.0 * by.1 * covariance;
-    let inertia = Estimate::new(inertia, variance.max(0.0).sqrt());
+    let inertia = measured(inertia, variance.max(0.0).sqrt());
     // ct = d (I + a) = d kt / S of each record; kt is common to all, so its own uncertainty does not average out.
     let relative =
         |r: &Loaded| (r.damping.uncertainty / r.damping.value).hypot(r.stiffness.uncertainty / r.stiffness.value);
@@ -80,7 +83,7 @@ pub fn torsion_of_series(records: &[Loaded]) -> Result<Torsion, SeriesError> {
     let inflation = (chi / (records.len() - 1) as f64).max(1.0).sqrt();
     let own = inflation / total.sqrt();
     Ok(Torsion {
-        damping: Estimate::new(damping, own.hypot(damping * stiffness.uncertainty / stiffness.value)),
+        damping: measured(damping, own.hypot(damping * stiffness.uncertainty / stiffness.value)),
         stiffness,
         inertia,
     })
@@ -93,7 +96,7 @@ mod tests {
     fn record(added: f64, unsure: f64) -> Loaded {
         let (i, kt, ct) = (1.4e-6, 0.086, 4e-5);
         let whole = i + added;
-        let about = |x: f64| Estimate::new(x, unsure * x);
+        let about = |x: f64| Measured { value: x, uncertainty: unsure * x, freedom: 5 };
         Loaded { added, damping: about(ct / whole), stiffness: about(kt / whole) }
     }
 

@@ -3,7 +3,8 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::{PluckError, RELEASES_MIN, Reading, Release};
-use crate::ident::ringdown::{Estimate, RingDownError};
+use crate::ident::Measured;
+use crate::ident::ringdown::RingDownError;
 use crate::ident::sweep::non_negative;
 
 /// How many slip elements there may be: far more than are needed, so that some lie near those that the FREE has.
@@ -18,16 +19,16 @@ pub enum Regime {
     /// It rings.
     Rings {
         /// ct / I, 1/s.
-        damping: Estimate,
+        damping: Measured,
         /// kt / I, 1/s2.
-        stiffness: Estimate,
+        stiffness: Measured,
         /// By the rates over the angles, Hz.
         frequency: f64,
     },
     /// It creeps back.
     Creeps {
         /// ct / kt, s.
-        time: Estimate,
+        time: Measured,
     },
 }
 
@@ -126,11 +127,11 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
 }
 
 /// Mean, and its standard uncertainty from the values with one release left out each.
-fn jackknife(all: f64, without: &[f64]) -> Estimate {
+fn jackknife(all: f64, without: &[f64]) -> Measured {
     let n = without.len() as f64;
     let mean = without.iter().sum::<f64>() / n;
     let square = without.iter().map(|x| (x - mean).powi(2)).sum::<f64>();
-    Estimate::new(all, ((n - 1.0) / n * square).sqrt())
+    Measured { value: all, uncertainty: ((n - 1.0) / n * square).sqrt(), freedom: (without.len() - 1).max(1) }
 }
 
 /// How the equations are written.
