@@ -76,6 +76,7 @@ mod tests {
             remarks: vec!["run `freerig tune`".into()],
             facts: vec![("kt".into(), "0.086".into())],
             figures: vec![("nothing yet".into(), Plot { height: 200, ..Plot::default() })],
+            ..Sheet::default()
         };
         let html = sheet.html().unwrap();
         for part in ["SIMULATED", "kt &lt; 1", "<code>freerig tune</code>", "0.086", "nothing yet", "<svg"] {

@@ -9,6 +9,8 @@
 //! A line fibre's answers depend on the mesh (the rubber's field under a line load has a logarithmic singularity);
 //! a strip's do not.
 
+#![allow(clippy::needless_range_loop, reason = "components of tensors are named by their indices")]
+
 pub mod answer;
 pub mod body;
 pub mod cap;

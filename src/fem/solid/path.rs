@@ -123,12 +123,20 @@ impl Solid {
     }
 
     /// Equilibria from rest, under `tip`, at the gauge pressures `pressures`, Pa, one after the other. A path that
-    /// ends early says why; loads that have no equilibrium at zero pressure are an error.
+    /// ends early says why; a tip that cannot be reached is an error.
     pub fn follow(&mut self, tip: &Tip, pressures: &[f64]) -> Result<SolidPath, SolidError> {
         let target = self.hold(tip)?;
         self.state = self.system.body.rest();
         self.iterations = 0;
-        self.go(&Target { gas: 0.0, ..target })?;
+        self.system.loads = [0.0; COORDINATES];
+        if let Err(error) = self.go(&Target { gas: 0.0, ..target }) {
+            // What is held may be out of reach without the pressure that goes with it: then both come together.
+            let first = pressures.first().filter(|p| p.is_finite()).ok_or(error)?;
+            self.state = self.system.body.rest();
+            self.iterations = 0;
+            self.system.loads = [0.0; COORDINATES];
+            self.go(&Target { gas: first / self.modulus, ..target })?;
+        }
         let mut path = SolidPath { states: Vec::new(), end: PathEnd::Reached, iterations: 0 };
         for &pressure in pressures {
             if !pressure.is_finite() {
@@ -242,7 +250,8 @@ impl Solid {
                 }
             }
             self.blend(&mut state);
-            let before = self.system.negative();
+            // Rest is stable, whatever the system was used for before.
+            let before = if self.iterations == 0 { 0 } else { self.system.negative() };
             let outcome = self.system.solve(&mut state, &Control::pressure(gas), ITERATIONS);
             let found = outcome.and_then(|iterations| {
                 self.iterations += iterations;
@@ -263,7 +272,7 @@ impl Solid {
                 Err(error) => {
                     step *= 0.5;
                     if step < SMALLEST {
-                        self.restore(predictor.is_some())?;
+                        self.restore()?;
                         return Err(error.into());
                     }
                 }
@@ -297,12 +306,9 @@ impl Solid {
     }
 
     /// Makes the system that of the last equilibrium again.
-    fn restore(&mut self, solved: bool) -> Result<(), SolidError> {
-        if solved {
-            self.system.evaluate(&self.state, true)?;
-            self.system.factorize()?;
-        }
-        Ok(())
+    fn restore(&mut self) -> Result<(), SolidError> {
+        self.system.evaluate(&self.state, true)?;
+        Ok(self.system.factorize()?)
     }
 
     fn predictor(&self) -> Option<Direction> {
@@ -347,7 +353,7 @@ impl Solid {
                 Err(error) => {
                     step *= 0.5;
                     if step * rest < length * SMALLEST {
-                        self.restore(true)?;
+                        self.restore()?;
                         return Err(error.into());
                     }
                 }

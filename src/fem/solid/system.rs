@@ -551,11 +551,11 @@ impl System {
     /// of a state within the last increment, and the number of iterations is returned.
     pub fn solve(&mut self, state: &mut State, control: &Control, most: usize) -> Result<usize, SystemError> {
         self.body.carry(state);
-        let mut last = f64::INFINITY;
         let mut first = f64::INFINITY;
+        let mut residual = f64::INFINITY;
         for iteration in 0..most {
             self.evaluate(state, true)?;
-            let residual = self.imbalance();
+            residual = self.imbalance();
             if iteration == 0 {
                 first = residual;
             }
@@ -568,7 +568,7 @@ impl System {
                 .direction(true, &Control { value, ..*control })
                 .ok_or(SystemError::Sparse(SparseError::Singular(self.matrix.size())))?;
             self.recover(state, true, &mut direction);
-            last = self.advance(state, &direction, 1.0);
+            let last = self.advance(state, &direction, 1.0);
             if !last.is_finite() {
                 return Err(SystemError::Diverged { iterations: iteration + 1, residual });
             }
@@ -579,7 +579,7 @@ impl System {
                 }
             }
         }
-        Err(SystemError::Diverged { iterations: most, residual: last })
+        Err(SystemError::Diverged { iterations: most, residual })
     }
 }
 
