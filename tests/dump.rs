@@ -87,11 +87,10 @@ fn the_papers_free_shows_its_lag_but_not_its_inertia() {
         assert!(covered >= 13, "{covered}");
         // A claim several times the error would be as dishonest; the spread of 16 errors is 18 %.
         assert!(claimed < 1.6 * rms && claimed < 0.02 * lag, "{claimed} {rms}");
-        // What is left over, rad: the sensor's 0.93e-3; the gauge's 0.01 psi through the FREE's lag, 0.6e-3; and where the
-        // corner falls between two samples, 0.14 ms at 6 rad/s over a tenth of the record, 0.3e-3. Together 1.14e-3, known
-        // to 5 % from 16 records as the gauge's part is slow.
+        // What is left over, rad, at most: the sensor's 0.93e-3 beside the gauge's 0.01 psi, which is 2.1e-3 at rest
+        // and comes through the FREE's lag only in part.
         let residual = mean(&|f| f.residual.powi(2)).sqrt();
-        assert!(residual < 1.2e-3, "{residual}");
+        assert!(residual < 2.3e-3, "{residual}");
     }
 }
 
