@@ -5,6 +5,7 @@ mod assessment;
 mod bench;
 pub mod chips;
 mod closed_loop;
+pub mod controlled;
 mod hysteresis;
 pub mod identification;
 mod plant;
