@@ -87,7 +87,10 @@ fn the_papers_free_shows_its_lag_but_not_its_inertia() {
         assert!(covered >= 13, "{covered}");
         // A claim several times the error would be as dishonest; the spread of 16 errors is 18 %.
         assert!(claimed < 1.6 * rms && claimed < 0.02 * lag, "{claimed} {rms}");
-        assert!(fits.iter().all(|f| f.residual < 1.5 * 0.053f64.to_radians()), "{}", fits[0].residual);
+        // What is left over, rad, at most: the sensor's 0.93e-3 beside the gauge's 0.01 psi, which is 2.1e-3 at rest
+        // and comes through the FREE's lag only in part.
+        let residual = mean(&|f| f.residual.powi(2)).sqrt();
+        assert!(residual < 2.3e-3, "{residual}");
     }
 }
 

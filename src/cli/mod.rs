@@ -25,6 +25,7 @@
 
 mod arm;
 mod attend;
+mod bench;
 mod calibrate;
 mod clear;
 mod compare;
@@ -141,6 +142,8 @@ enum Command {
     Export(export::Args),
     /// Wake-up latency and jitter of this machine
     Latency(latency::Args),
+    /// Speed against error of what freerig computes: table, CSV and plot
+    Bench(bench::Args),
     /// Real-time rights, kernel, buses, serial ports, sensors, disk: each with its remedy
     Doctor(doctor::Args),
     /// Check rig.toml and everything it refers to
@@ -172,6 +175,7 @@ impl Command {
             Command::Compare(args) => compare::run(args, context),
             Command::Export(args) => export::run(args, context),
             Command::Latency(args) => latency::run(args, context),
+            Command::Bench(args) => bench::run(args, context),
             Command::Doctor(args) => doctor::run(args, context),
             Command::Config(args) => config::run(args, context),
         }

@@ -10,6 +10,7 @@
 //!
 //! A run that was killed is readable up to its last whole batch (100 ms).
 
+mod bench;
 mod blueprint;
 mod columns;
 mod comparison;
@@ -43,6 +44,7 @@ mod sheet;
 mod signals;
 mod stiffness;
 
+pub use bench::{BenchRow, BenchSuite, Curve};
 pub use columns::column_name;
 pub use comparison::{Comparison, Deviation, Row};
 pub use design::design_sheet;

@@ -6,6 +6,7 @@ mod bench;
 pub mod chips;
 mod closed_loop;
 mod hand;
+pub mod controlled;
 mod hysteresis;
 pub mod identification;
 mod person;

@@ -1,0 +1,126 @@
+//! `freerig bench`: speed against error of what freerig computes.
+//!
+//! A suite is one file with a function from [`Size`] to a [`BenchSuite`], and a line in [`SUITES`] and in [`Args`].
+
+mod control;
+mod identification;
+mod lumped;
+
+use rayon::prelude::*;
+
+use super::table::Table;
+use super::{Context, Failure, Progress};
+use crate::config::Rig;
+use crate::record::{BenchRow, BenchSuite};
+
+const EXAMPLES: &str = "\
+Without a suite all of them run, each within a minute on two cores. The random numbers are always the same: but for the
+times, so are the answers. Table on stdout, bench-SUITE.csv, .svg and .html in the runs' folder.
+
+Examples:
+  freerig bench
+  freerig bench --identification
+  freerig bench --control --count 20 --json";
+
+/// Records or plants that are computed between two looks at the progress.
+const CHUNK: u64 = 8;
+
+/// What `freerig bench` takes.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// Integrators of the lumped model against reference solutions
+    #[arg(long)]
+    lumped: bool,
+    /// Ring-down fits of FREEs that are not known, against log decrement and curve fit
+    #[arg(long)]
+    identification: bool,
+    /// The controllers on plants that are not the model
+    #[arg(long)]
+    control: bool,
+    /// FREEs and plants of the studies
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    count: u64,
+}
+
+/// How much a suite computes.
+struct Size {
+    count: u64,
+}
+
+type Suite = fn(&Size) -> Result<BenchSuite, Failure>;
+
+/// Every suite, in the order of a run without any flag.
+const SUITES: [(fn(&Args) -> bool, Suite); 3] = [
+    (|args| args.lumped, lumped::run),
+    (|args| args.identification, identification::run),
+    (|args| args.control, control::run),
+];
+
+/// Runs what is asked for.
+pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
+    let rig = Rig::load(&context.rig)?;
+    let every = !SUITES.iter().any(|(asked, _)| asked(&args));
+    let size = Size { count: args.count };
+    let mut rows = Vec::new();
+    for (_, suite) in SUITES.iter().filter(|(asked, _)| every || asked(&args)) {
+        let suite = suite(&size)?;
+        let page = suite.write(&rig.record.directory)?;
+        if !context.json {
+            context.print(text(&suite, &page.display().to_string()))?;
+        }
+        rows.extend(suite.rows);
+    }
+    if context.json { context.print_json(&serde_json::json!({ "rows": rows })) } else { Ok(()) }
+}
+
+fn text(suite: &BenchSuite, page: &str) -> String {
+    let mut table = Table::new(&["|", "method", "|", "case", "|", ">relative error", "|", ">time, ms", "|", "", "|"]);
+    table.row(["|", "---", "|", "---", "|", "--:", "|", "--:", "|", "---", "|"]);
+    for row in &suite.rows {
+        let error = row.relative_error.map_or("-".into(), |e| format!("{e:.2e}"));
+        let time = row.time_s.map_or("-".into(), |t| format!("{:.3}", 1e3 * t));
+        let failed = if row.failed { "FAILED" } else { "" };
+        table.row(["|", &row.method, "|", &row.case, "|", &error, "|", &time, "|", failed, "|"]);
+    }
+    let facts: String = suite.facts.iter().map(|(name, value)| format!("- {name}: {value}\n")).collect();
+    format!("## {} (SIMULATED)\n\n{table}\n\n{facts}- page: {page}\n", suite.title)
+}
+
+/// `one` of every number below `count`, in their order, on all cores, with a bar.
+fn in_parallel<T: Send>(label: &str, unit: &'static str, count: u64, one: impl Fn(u64) -> T + Sync) -> Vec<T> {
+    let mut progress = Progress::new(label, count as f64, unit);
+    let mut all = Vec::with_capacity(count as usize);
+    let mut from = 0;
+    while from < count {
+        let until = (from + CHUNK).min(count);
+        all.par_extend((from..until).into_par_iter().map(&one));
+        progress.set(until as f64, "");
+        from = until;
+    }
+    all
+}
+
+/// The value below which `share` (0 to 1) of `values` lie; `None` of nothing.
+fn quantile(values: &[f64], share: f64) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(((sorted.len().max(1) - 1) as f64 * share).round() as usize).copied()
+}
+
+fn row(suite: &'static str, method: &str, case: String, relative_error: Option<f64>, time_s: Option<f64>) -> BenchRow {
+    BenchRow { suite, method: method.into(), case, relative_error, time_s, failed: relative_error.is_none() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn work_in_parallel_keeps_its_order_and_quantiles_are_of_the_sorted() {
+        assert_eq!(in_parallel("x", "", 20, |i| i * i), (0..20).map(|i| i * i).collect::<Vec<_>>());
+        assert_eq!(quantile(&[3.0, 1.0, 2.0], 0.5), Some(2.0));
+        assert_eq!(quantile(&[3.0, 1.0, 2.0], 1.0), Some(3.0));
+        assert_eq!(quantile(&[], 0.5), None);
+    }
+}

@@ -1,0 +1,109 @@
+//! What a benchmark has found: rows as CSV, a drawing as SVG, both on a page.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::plot::{Line, Plot};
+use super::run::write_atomically;
+use super::sheet::Sheet;
+use super::{Result, palette};
+
+/// Height of the drawing, pixels.
+const HEIGHT: u32 = 460;
+/// Colours of the curves, in turn.
+const COLORS: [u32; 6] =
+    [palette::BLUE, palette::ORANGE, palette::GREEN, palette::PURPLE, palette::RED, palette::YELLOW];
+
+/// One method on one case.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct BenchRow {
+    /// Which benchmark.
+    pub suite: &'static str,
+    /// Who computes.
+    pub method: String,
+    /// What.
+    pub case: String,
+    /// Error over the size of what is computed; `None` where there is no answer.
+    pub relative_error: Option<f64>,
+    /// Time that it took, s.
+    pub time_s: Option<f64>,
+    /// Whether there is no answer, or one that must not be.
+    pub failed: bool,
+}
+
+/// A curve of the drawing: what the legend calls it, x and y.
+pub type Curve = (String, Vec<f64>, Vec<f64>);
+
+/// What a benchmark has found.
+#[derive(Clone, Debug, Default)]
+pub struct BenchSuite {
+    /// Its name, as on the command line.
+    pub name: &'static str,
+    /// What it is about.
+    pub title: &'static str,
+    /// What it says beside the rows: names and values.
+    pub facts: Vec<(String, String)>,
+    /// Every method on every case.
+    pub rows: Vec<BenchRow>,
+    /// Caption of the drawing.
+    pub caption: &'static str,
+    /// Quantity and unit of the horizontal axis.
+    pub x_label: &'static str,
+    /// Quantity and unit of the vertical axis.
+    pub y_label: &'static str,
+    /// What is drawn.
+    pub curves: Vec<Curve>,
+}
+
+impl BenchSuite {
+    /// Writes `bench-NAME.csv`, `.svg` and `.html` into `directory`; returns the page's path.
+    ///
+    /// # Errors
+    /// Where one of them cannot be drawn or written.
+    pub fn write(&self, directory: &Path) -> Result<PathBuf> {
+        fs::create_dir_all(directory)
+            .map_err(|source| super::RecordError::Io { path: directory.to_owned(), source })?;
+        let file = |ending: &str| directory.join(format!("bench-{}.{ending}", self.name));
+        let plot = self.plot();
+        write_atomically(&file("csv"), self.csv().as_bytes())?;
+        write_atomically(&file("svg"), plot.svg()?.as_bytes())?;
+        let facts = self.rows.iter().map(fact);
+        let sheet = Sheet {
+            title: self.title.into(),
+            simulated: true,
+            facts: self.facts.iter().cloned().chain(facts).collect(),
+            figures: vec![(self.caption.into(), plot)],
+            ..Sheet::default()
+        };
+        sheet.write(&file("html"))
+    }
+
+    fn plot(&self) -> Plot {
+        let line = |(i, (label, x, y)): (usize, &Curve)| Line::new(label, COLORS[i % COLORS.len()], x, y.clone());
+        Plot {
+            x_label: self.x_label.into(),
+            y_label: self.y_label.into(),
+            height: HEIGHT,
+            lines: self.curves.iter().enumerate().map(line).collect(),
+            ..Plot::default()
+        }
+    }
+
+    fn csv(&self) -> String {
+        let number = |x: Option<f64>| x.map_or(String::new(), |x| format!("{x:e}"));
+        let line = |r: &BenchRow| {
+            let (error, time) = (number(r.relative_error), number(r.time_s));
+            format!("{},\"{}\",\"{}\",{error},{time},{}\n", r.suite, r.method, r.case, r.failed)
+        };
+        let head = String::from("suite,method,case,relative_error,time_s,failed\n");
+        self.rows.iter().map(line).fold(head, |all, line| all + &line)
+    }
+}
+
+fn fact(row: &BenchRow) -> (String, String) {
+    let error = row.relative_error.map_or("no answer".into(), |e| format!("relative error {e:.2e}"));
+    let time = row.time_s.map_or(String::new(), |t| format!(", {:.3} ms", 1e3 * t));
+    (format!("{}: {}", row.method, row.case), error + &time + if row.failed { ", FAILED" } else { "" })
+}

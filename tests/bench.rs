@@ -1,0 +1,84 @@
+//! `freerig bench` in a reduced size: its JSON, its files, and what its rows must say.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+/// A suite's rows, and what it leaves in the runs' folder.
+fn bench(suite: &str, count: &str) -> (Vec<Value>, tempfile::TempDir) {
+    let folder = tempfile::tempdir().unwrap();
+    let source = Path::new(env!("CARGO_MANIFEST_DIR"));
+    std::fs::copy(source.join("rig.toml"), folder.path().join("rig.toml")).unwrap();
+    std::fs::create_dir(folder.path().join("calibration")).unwrap();
+    for file in std::fs::read_dir(source.join("calibration")).unwrap().flatten() {
+        std::fs::copy(file.path(), folder.path().join("calibration").join(file.file_name())).unwrap();
+    }
+    let output = Command::new(env!("CARGO_BIN_EXE_freerig"))
+        .args(["bench", &format!("--{suite}"), "--count", count, "--json"])
+        .current_dir(folder.path())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let answer: Value = serde_json::from_slice(&output.stdout).expect("stdout is one JSON object");
+    let rows = answer["rows"].as_array().unwrap().clone();
+    assert!(rows.iter().all(|r| r["suite"] == suite && r["time_s"].as_f64().unwrap() >= 0.0), "{rows:?}");
+    let csv = std::fs::read_to_string(folder.path().join(format!("runs/bench-{suite}.csv"))).unwrap();
+    assert_eq!(csv.lines().next(), Some("suite,method,case,relative_error,time_s,failed"));
+    assert_eq!(csv.lines().count(), rows.len() + 1);
+    for ending in ["svg", "html"] {
+        let text = std::fs::read_to_string(folder.path().join(format!("runs/bench-{suite}.{ending}"))).unwrap();
+        assert!(text.contains("<svg"), "{ending}");
+    }
+    (rows, folder)
+}
+
+/// The relative error of the row of `method` whose case begins or ends with `case`.
+fn error(rows: &[Value], method: &str, case: &str) -> f64 {
+    let is = |r: &&Value| {
+        let name = r["case"].as_str().unwrap();
+        r["method"] == method && (name.starts_with(case) || name.ends_with(case))
+    };
+    rows.iter().find(is).unwrap()["relative_error"].as_f64().unwrap()
+}
+
+#[test]
+fn the_integrators_reach_the_reference_solutions() {
+    let (rows, _) = bench("lumped", "1");
+    for case in ["published trajectory", "paper trajectory", "published steps", "published, 5 psi", "paper, 5 psi"] {
+        // 1e-5 rad of rotations of half a radian and more, as the model's own tests ask for.
+        let finest = error(&rows, "Radau IIA, order 5", &format!("{case}, step 0.0625 ms"));
+        assert!(finest < 2e-5, "{case}: {finest}");
+    }
+    // The explicit method is lost where the fast pole, 3600 1/s, is beyond its limit, 2.8 a step.
+    let lost = |r: &&Value| r["case"] == "paper trajectory, step 2.0000 ms" && r["method"] == "Runge-Kutta, order 4";
+    let lost = rows.iter().find(lost).unwrap();
+    assert!(lost["failed"] == true && lost["relative_error"].is_null(), "{lost}");
+}
+
+#[test]
+fn a_few_frees_are_identified() {
+    let (rows, _) = bench("identification", "10");
+    // The acceptance's limits hold for medians of 200; ten have three times their scatter at most.
+    assert!(error(&rows, "this fit", "10 FREEs, kt, median") < 3e-3);
+    assert!(error(&rows, "this fit", "10 FREEs, ct, median") < 2e-2);
+    assert!(error(&rows, "this fit", "10 FREEs, f, median") < 1e-3);
+    assert!(rows.iter().any(|r| r["method"] == "log decrement") && rows.iter().any(|r| r["method"] == "curve fit"));
+}
+
+#[test]
+fn a_few_plants_are_followed() {
+    let (rows, _) = bench("control", "4");
+    let model = error(&rows, "model", "1 calibrated FREEs, median RMS");
+    let published = error(&rows, "published PI", "1 calibrated FREEs, median RMS");
+    // The acceptance: 0.12 deg of 70, and five times closer than the published gains.
+    assert!(model < 0.12 / 70.0 && model < 0.2 * published, "{model} {published}");
+    let off = |r: &&Value| r["method"] == "model" && r["case"].as_str().unwrap().starts_with("4 plants");
+    assert!(rows.iter().filter(off).all(|r| r["failed"] == false));
+}
+
+#[test]
+fn a_bad_count_is_bad_usage() {
+    let output = Command::new(env!("CARGO_BIN_EXE_freerig")).args(["bench", "--count", "0"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+}
