@@ -209,7 +209,13 @@ fn files_that_are_wrong_are_named_with_line_column_value_and_remedy() {
             &["material.inflation.wall_in", "unknown key", "wall_mm"],
         ),
         // A diameter taken for a radius: the bore of this tube would be closed.
-        ("inflation.csv", "outer_diameter_mm", "outer_diameter_cm", 1, &["inflation.csv"]),
+        (
+            "inflation.csv",
+            "outer_diameter_mm",
+            "outer_diameter_cm",
+            1,
+            &["inflation.csv", "least outer radius is 55.", "at rest 5.560 mm"],
+        ),
         (
             "inflation.csv",
             "outer_diameter_mm\n",

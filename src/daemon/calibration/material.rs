@@ -43,6 +43,8 @@ pub struct LawRow {
 /// Largest RMSD of Ogden's law as a share of the measured range: what is above it is another quantity, or another unit.
 const RMSD_MAX: f64 = 0.15;
 
+/// An inflation begins with the tube at rest: its least radius is at most so many times that.
+const BEGIN_MAX: f64 = 1.3;
 /// Half-width of a 95 % interval in standard uncertainties, where there are many degrees of freedom.
 const NORMAL: f64 = 1.96;
 
@@ -190,6 +192,16 @@ fn tensile(material: &Material) -> Result<Option<TensileFit>, CalibrationError> 
 
 fn inflation(material: &Material, tensile: Option<&TensileFit>) -> Result<Option<InflationFit>, CalibrationError> {
     let Some((test, tube, errors)) = &material.inflation else { return Ok(None) };
+    let least = test.points.iter().map(|p| p.outer_radius).fold(f64::INFINITY, f64::min);
+    let rest = tube.inner_radius + tube.wall;
+    if least > BEGIN_MAX * rest {
+        let (least, rest) = (1e3 * least, 1e3 * rest);
+        let reason = format!(
+            "the least outer radius is {least:.3} mm, that of the tube at rest {rest:.3} mm: is its unit right, and a \
+             diameter called one?"
+        );
+        return Err(unfit(test, None, &reason));
+    }
     let known = tensile.map(|fit| widened(fit.shear_modulus));
     fit_inflation(&test.points, tube, errors, known).map(Some).map_err(|error| {
         let line = match error {
