@@ -149,9 +149,9 @@ fn the_papers_material_comes_out_of_files_within_its_uncertainty() {
     for (key, truth) in truths {
         let (value, uncertainty) = of(key);
         println!("{key} {value} +- {uncertainty}, truth {truth}");
-        // Three standard uncertainties, and they are worth something: 3 % (a tenth of alpha).
+        // Three standard uncertainties, and they are worth something: 3 % (a quarter of alpha, for two specimens know mu to 2 %).
         assert!((value - truth).abs() < 3.0 * uncertainty, "{key} {value} +- {uncertainty}, not {truth}");
-        assert!(uncertainty < if key == "ogden_exponent" { 0.15 } else { 0.03 * truth }, "{key} {uncertainty}");
+        assert!(uncertainty < if key == "ogden_exponent" { 0.3 } else { 0.03 * truth }, "{key} {uncertainty}");
     }
     // Gent: 1.18 MPa are 30.8.
     assert!((of("shore_a_estimate").0 - 30.8).abs() < 0.5, "{found}");
@@ -209,7 +209,13 @@ fn files_that_are_wrong_are_named_with_line_column_value_and_remedy() {
             &["material.inflation.wall_in", "unknown key", "wall_mm"],
         ),
         // A diameter taken for a radius: the bore of this tube would be closed.
-        ("inflation.csv", "outer_diameter_mm", "outer_diameter_cm", 1, &["inflation.csv"]),
+        (
+            "inflation.csv",
+            "outer_diameter_mm",
+            "outer_diameter_cm",
+            1,
+            &["inflation.csv", "least outer radius is 55.", "at rest 5.560 mm"],
+        ),
         (
             "inflation.csv",
             "outer_diameter_mm\n",

@@ -43,6 +43,11 @@ pub struct LawRow {
 /// Largest RMSD of Ogden's law as a share of the measured range: what is above it is another quantity, or another unit.
 const RMSD_MAX: f64 = 0.15;
 
+/// An inflation begins with the tube at rest: its least radius is at most so many times that.
+const BEGIN_MAX: f64 = 1.3;
+/// Half-width of a 95 % interval in standard uncertainties, where there are many degrees of freedom.
+const NORMAL: f64 = 1.96;
+
 /// What the tests of `material` say of the FREE of `calibration`, and the laws by their RMSD; `date` is today's.
 ///
 /// # Errors
@@ -128,6 +133,7 @@ struct Batch<'a> {
 impl Batch<'_> {
     /// Enters `found`, in the unit of `key`, that came from the files `source`.
     fn enter(&mut self, key: &Key, found: Measured, residual: f64, method: &str, source: &str) {
+        let found = widened(found);
         let before = self.calibration.entry(key).map(|entry| entry.value);
         let entry = Entry {
             value: found.value,
@@ -144,8 +150,15 @@ impl Batch<'_> {
 
     /// A value that has no place in the calibration.
     fn note(&mut self, key: &'static str, found: Measured) {
-        self.values.push(value(key, found));
+        self.values.push(value(key, widened(found)));
     }
+}
+
+/// With the standard uncertainty that stands for its 95 % interval: a calibration knows no degrees of freedom, and two
+/// specimens that agree by chance are no better known than that.
+fn widened(found: Measured) -> Measured {
+    let (low, high) = found.interval();
+    Measured { uncertainty: (high - low) / (2.0 * NORMAL), ..found }
 }
 
 fn value(key: &'static str, found: Measured) -> FoundValue {
@@ -179,7 +192,18 @@ fn tensile(material: &Material) -> Result<Option<TensileFit>, CalibrationError> 
 
 fn inflation(material: &Material, tensile: Option<&TensileFit>) -> Result<Option<InflationFit>, CalibrationError> {
     let Some((test, tube, errors)) = &material.inflation else { return Ok(None) };
-    fit_inflation(&test.points, tube, errors, tensile.map(|fit| fit.shear_modulus)).map(Some).map_err(|error| {
+    let least = test.points.iter().map(|p| p.outer_radius).fold(f64::INFINITY, f64::min);
+    let rest = tube.inner_radius + tube.wall;
+    if least > BEGIN_MAX * rest {
+        let (least, rest) = (1e3 * least, 1e3 * rest);
+        let reason = format!(
+            "the least outer radius is {least:.3} mm, that of the tube at rest {rest:.3} mm: is its unit right, and a \
+             diameter called one?"
+        );
+        return Err(unfit(test, None, &reason));
+    }
+    let known = tensile.map(|fit| widened(fit.shear_modulus));
+    fit_inflation(&test.points, tube, errors, known).map(Some).map_err(|error| {
         let line = match error {
             InflationError::NoEquilibrium { index, .. } => test.lines.get(index).copied(),
             _ => None,
@@ -264,8 +288,8 @@ fn facts(
     if let Some(fit) = tensile {
         let mega =
             |m: &Measured| format!("{:.4} +- {:.4} MPa (standard uncertainty)", m.value / MEGA, m.uncertainty / MEGA);
-        fact("E", mega(&fit.youngs_modulus));
-        fact("mu = E/3", mega(&fit.shear_modulus));
+        fact("E", mega(&widened(fit.youngs_modulus)));
+        fact("mu = E/3", mega(&widened(fit.shear_modulus)));
         fact("tension", format!("{} points of {} specimens", fit.points, fit.specimens));
     }
     if let Some(shore) = hardness {

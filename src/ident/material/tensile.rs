@@ -181,8 +181,7 @@ fn small_strain(points: &[TensilePoint]) -> Option<Least> {
     least_squares(&[0.0; 3], &[scale, scale, 10.0 * scale], residuals)
 }
 
-/// `together` with the scatter of the specimens, where there are several and it is larger: their points are not
-/// independent.
+/// `together` with the scatter of the specimens, where there are several: their points are not independent.
 fn scattered(
     together: Measured,
     curves: &[Vec<TensilePoint>],
@@ -195,12 +194,7 @@ fn scattered(
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
     let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1.0);
-    let scatter = (variance / count).sqrt();
-    // Two specimens may agree by chance: no better than the readings allow.
-    if scatter < together.uncertainty {
-        return together;
-    }
-    Measured { value: together.value, uncertainty: scatter, freedom: values.len() - 1 }
+    Measured { value: together.value, uncertainty: (variance / count).sqrt(), freedom: values.len() - 1 }
 }
 
 fn fitted(points: &[TensilePoint], make: Make, starts: &[Vec<f64>], mu: f64) -> Option<Least> {
