@@ -75,7 +75,8 @@ impl Module {
     }
 
     /// The equilibrium under `pressures` (Pa) with the plate held where it is at rest. Its negative pivots are those
-    /// of the rods between clamped ends: a blocked FREE buckles like a strut.
+    /// of the rods between clamped ends: a blocked FREE buckles like a strut. What starts from this state releases the
+    /// plate.
     pub fn blocked(&self, pressures: &[f64]) -> Result<State, ModuleError> {
         let (start, mut unknowns) = self.unloaded();
         unknowns.plate = DualMatrix::pose(Matrix3::identity(), &self.rest);
@@ -189,7 +190,7 @@ impl<'a> Solver<'a> {
             if step.within(tolerance) {
                 return Ok(at);
             }
-            if step.size > f64::min(LONGEST, f64::max(CONTRACTION * before, CONVERGED)) {
+            if step.size > (CONTRACTION * before).clamp(CONVERGED, LONGEST) {
                 return Err(None);
             }
             before = step.size;

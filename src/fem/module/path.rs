@@ -23,6 +23,8 @@ const CORRECTIONS: usize = 10;
 const CONVERGED: f64 = 1e-9;
 /// Steps are cut down to this share of the longest before the branch counts as ended.
 const SHORTEST: f64 = 1e-6;
+/// Steps of one search: a branch may close upon itself without anything happening on it.
+const STEPS: usize = 10_000;
 /// Cosine of the largest angle between successive tangents: a sharper bend asks for a shorter step.
 const BEND: f64 = 0.9;
 /// Bisections of a step: to rounding of mu at a limit point, where mu is flat.
@@ -132,9 +134,9 @@ impl<'a> Path<'a> {
     }
 
     /// Goes on to the next change of stability or turn of the load, or until mu leaves `bounds`: then none. The path
-    /// stands just past it.
+    /// stands just past it. An error where the branch ends, or goes on for ten thousand steps without either.
     pub fn next_critical(&mut self, bounds: (f64, f64)) -> Result<Option<Critical>, ModuleError> {
-        loop {
+        for _ in 0..STEPS {
             let before = self.point.clone();
             let length = self.step;
             self.advance()?;
@@ -145,6 +147,7 @@ impl<'a> Path<'a> {
                 return Ok(None);
             }
         }
+        Err(self.ended(None))
     }
 
     /// The path leaving `critical` along its mode `index` by `amplitude` (radians or lengths; its sign chooses the
