@@ -151,7 +151,7 @@ fn steps_led_by_the_model_settle_as_fast_as_the_regulator_allows_and_do_not_over
         let share = slot().map(|&(t, _, truth, _)| (t - start, (truth - from) / (to - from) - 1.0));
         let over = share.clone().map(|(_, x)| x).fold(0.0, f64::max);
         let settled = share.filter(|(_, x)| x.abs() > 0.02).map(|(t, _)| t).fold(0.0, f64::max);
-        let reached = slot().last().unwrap().3;
+        let reached = slot().next_back().unwrap().3;
         let allowed = allowance(&rig, (pressure, reached));
         pressure = reached;
         println!(

@@ -82,6 +82,7 @@ pub fn plant(nominal: Free, scatter: f64, seed: u64) -> BenchConfig {
                 noise: 0.01 * PSI,
                 full_scale: 15.0 * PSI,
             },
+            analogue: None,
         }],
         imu: ImuSim { delay: Duration::from_millis(15), noise: 0.05f64.to_radians(), rate_noise: 0.1f64.to_radians() },
         dump_valve: false,

@@ -93,6 +93,8 @@ pub(super) fn run(size: &Size) -> Result<BenchSuite, Failure> {
     })
 }
 
+/// The error of one parameter.
+type Pick = fn(&Errors) -> f64;
+
 /// What is identified.
-const PARAMETERS: [(&str, fn(&Errors) -> f64); 3] =
-    [("kt", |e| e.stiffness), ("ct", |e| e.damping), ("f", |e| e.frequency)];
+const PARAMETERS: [(&str, Pick); 3] = [("kt", |e| e.stiffness), ("ct", |e| e.damping), ("f", |e| e.frequency)];

@@ -49,9 +49,11 @@ struct Size {
 }
 
 type Suite = fn(&Size) -> Result<BenchSuite, Failure>;
+/// Whether it is asked for.
+type Asked = fn(&Args) -> bool;
 
 /// Every suite, in the order of a run without any flag.
-const SUITES: [(fn(&Args) -> bool, Suite); 3] = [
+const SUITES: [(Asked, Suite); 3] = [
     (|args| args.lumped, lumped::run),
     (|args| args.identification, identification::run),
     (|args| args.control, control::run),
