@@ -89,7 +89,7 @@ fn answers_come_from_a_script_and_a_wrong_one_is_named() {
     let calibrate = || freerig(folder.path(), &["calibrate", "stiffness", "--stepped", "--script", "answers.toml"]);
     refused(&calibrate(), 2, &["answers.toml"]);
     fs::write(&script, "ready = [\"stifness\"]\n").unwrap();
-    refused(&calibrate(), 2, &["answers.toml:1", "stifness", "write some of: regulator, stiffness"]);
+    refused(&calibrate(), 2, &["answers.toml:1", "stifness", "write some of: imu, regulator, stiffness, damping"]);
     fs::write(&script, "ready = []\n").unwrap();
     refused(&calibrate(), 2, &["stiffness", "ready", "hangs free"]);
     refused(&freerig(folder.path(), &["calibrate", "stiffness", "--free", "other"]), 2, &["`other`", "paper"]);

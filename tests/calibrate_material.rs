@@ -153,8 +153,9 @@ fn the_papers_material_comes_out_of_files_within_its_uncertainty() {
         assert!((value - truth).abs() < 3.0 * uncertainty, "{key} {value} +- {uncertainty}, not {truth}");
         assert!(uncertainty < if key == "ogden_exponent" { 0.3 } else { 0.03 * truth }, "{key} {uncertainty}");
     }
-    // Gent: 1.18 MPa are 30.8.
-    assert!((of("shore_a_estimate").0 - 30.8).abs() < 0.5, "{found}");
+    // Gent: 1.18 MPa are 30.8, and E is known as well as it is.
+    let (shore, uncertainty) = of("shore_a_estimate");
+    assert!((shore - 30.8).abs() < 3.0 * uncertainty && uncertainty < 1.0, "{found}");
     let laws = found["laws"].as_array().unwrap();
     let best = |test: &str| laws.iter().find(|row| row["test"] == test).unwrap()["law"].as_str().unwrap().to_owned();
     assert_eq!((laws.len(), best("tension").as_str(), best("inflation").as_str()), (6, "Ogden", "Ogden"));

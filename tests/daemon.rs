@@ -194,7 +194,7 @@ fn start(detach: bool) -> Start {
 #[test]
 fn a_person_who_aborts_a_calibration_finds_the_rig_vented_and_disarmed_and_the_old_calibration() {
     attempt(|place| {
-        place.rewrite(|text| text.replace("ramp_time_s = 3.0", "ramp_time_s = 0.3"));
+        place.rewrite(|text| text.replace("ramp_time_s = 3.0", "ramp_time_s = 0.5"));
         let _daemon = place.daemon();
         let file = place.path("calibration/paper.toml");
         let before = std::fs::read_to_string(&file).unwrap();

@@ -83,6 +83,8 @@ pub mod keys {
         SHEAR_MODULUS: "material" "shear_modulus_mpa" false (0.001, 100.0), "Shear modulus mu of the rubber";
         OGDEN_EXPONENT: "material" "ogden_exponent" false (-20.0, 20.0), "Exponent alpha of the first-order Ogden law";
         FIBER_STIFFNESS: "material" "fiber_stiffness_n" false (0.1, 1e6), "EA of one fibre, force per unit strain";
+        EFFECTIVE_ANGLE: "lumped" "effective_winding_angle_deg" false (-89.0, 89.0),
+            "Winding angle with which the lumped model turns as was measured; it takes the place of the geometry's there";
         END_MASS: "lumped" "end_mass_kg" true (1e-6, 100.0), "Mass of the end cap and of what hangs on it";
         END_INERTIA: "lumped" "end_inertia_kg_m2" true (1e-12, 10.0), "Rotational inertia of the end about the axis";
         AXIAL_STIFFNESS: "lumped" "axial_stiffness_n_per_m" true (0.1, 1e8), "Axial stiffness ke";
@@ -218,7 +220,8 @@ impl Calibration {
     /// A calibration that has been read has every value that is required; one that was put together by hand and
     /// lacks one gives a FREE with values that are not numbers.
     pub fn free(&self) -> Free {
-        free_of(|key| self.value(key))
+        let free = free_of(|key| self.value(key));
+        Free { gamma: self.value(&keys::EFFECTIVE_ANGLE).unwrap_or(free.gamma), ..free }
     }
 
     /// What the simulated FREE is scattered around: as [`Calibration::free`], without what was measured on it.
@@ -328,6 +331,17 @@ fn read(mut root: Section<'_>) -> Calibration {
         if name == "imu" {
             calibration.imu_profile = read_profile(&mut section);
         }
+    }
+    let angles = [&keys::WINDING_ANGLE, &keys::EFFECTIVE_ANGLE].map(|key| calibration.value(key));
+    if let [Some(wound), Some(effective)] = angles
+        && wound * effective <= 0.0
+    {
+        // A controller that believes the other hand drives the FREE away from its reference.
+        root.reject(
+            keys::EFFECTIVE_ANGLE.name,
+            "must have the sign of `winding_angle_deg`",
+            "remove it, and measure the stiffness again",
+        );
     }
     if root.has("hysteresis") {
         calibration.hysteresis = read_hysteresis(root.section("hysteresis"));

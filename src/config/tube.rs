@@ -9,7 +9,9 @@ impl Calibration {
     /// ([`Tube::reference`]), except for the inner diameter, which then follows from the fibres' radius and the wall.
     pub fn tube(&self) -> (Tube, Vec<&'static str>) {
         let free = self.free();
-        let reference = Tube::reference(free.gamma);
+        // The lumped model's own angle is none of the tube's.
+        let gamma = self.value(&keys::WINDING_ANGLE).unwrap_or(free.gamma);
+        let reference = Tube::reference(gamma);
         let (mu, alpha) = match reference.law {
             Law::Ogden { mu, alpha } => (mu, alpha),
             Law::NeoHookean { mu } => (mu, 2.0),
@@ -26,7 +28,7 @@ impl Calibration {
         let tube = Tube {
             inner_radius: 0.5 * value(&keys::INNER_DIAMETER, 2.0 * (free.radius - wall)),
             wall,
-            gamma: free.gamma,
+            gamma,
             fibers: value(&keys::FIBERS, reference.fibers as f64).round() as usize,
             fiber_ea: value(&keys::FIBER_STIFFNESS, reference.fiber_ea),
             fiber_width: value(&keys::FIBER_WIDTH, reference.fiber_width),

@@ -4,12 +4,12 @@
 //! `max_pressure_psi`, after it has been below [`FALL`] of it. Small loops near the top are none.
 //!
 //! The counts belong to the FREE, by the name of its calibration, and outlive runs: they stand in `cycles.toml` beside
-//! the runs, which is replaced as a whole and under a lock, so that two processes lose nothing to each other. It is
+//! the runs, which is replaced as a whole and under a lock on their folder, so that two processes lose nothing to each other. It is
 //! written at most once a second while the pressures move, and at the end of every program: a kill costs a second of
 //! counting. What a simulated FREE goes through is counted apart.
 
 use std::collections::BTreeMap;
-use std::fs::OpenOptions;
+use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -27,8 +27,6 @@ pub const FALL: f64 = 0.25;
 
 /// Name of the file.
 const NAME: &str = "cycles.toml";
-/// Name of its lock.
-const LOCK: &str = ".cycles.lock";
 /// Shortest time between two writes.
 const PERIOD: Duration = Duration::from_secs(1);
 
@@ -139,7 +137,7 @@ impl Counter {
 
     fn add(&self) -> io::Result<()> {
         std::fs::create_dir_all(&self.directory)?;
-        let lock = OpenOptions::new().write(true).create(true).truncate(false).open(self.directory.join(LOCK))?;
+        let lock = File::open(&self.directory)?;
         lock.lock()?;
         let mut counts = Counts::read(&self.directory)?;
         let these = if self.simulated { &mut counts.simulated } else { &mut counts.hardware };

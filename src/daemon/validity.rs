@@ -88,8 +88,9 @@ fn reasons(
     let mut reasons = Vec::new();
     if let Some(fitted) = conditions.geometry {
         let free = &control.free;
+        let gamma = rig.calibrations[index].value(&keys::WINDING_ANGLE).unwrap_or(free.gamma);
         let each = [
-            (keys::WINDING_ANGLE.name, fitted.gamma, free.gamma, 180.0 / std::f64::consts::PI),
+            (keys::WINDING_ANGLE.name, fitted.gamma, gamma, 180.0 / std::f64::consts::PI),
             (keys::LENGTH.name, fitted.length, free.length, 1e3),
             (keys::FIBER_RADIUS.name, fitted.radius, free.radius, 1e3),
         ];
@@ -132,10 +133,8 @@ fn reasons(
         reasons.push((false, format!("measured {} pressure cycles ago", cycles - then)));
     }
     let date: Option<Date> = entry.date.as_deref().and_then(|date| date.parse().ok());
-    if let Some(days) =
-        date.and_then(|date| (today - date).total(jiff::Unit::Day).ok()).filter(|days| *days > f64::from(DAYS))
-    {
-        reasons.push((false, format!("measured {days:.0} days ago")));
+    if let Some(days) = date.map(|date| (today - date).get_days()).filter(|days| *days > DAYS) {
+        reasons.push((false, format!("measured {days} days ago")));
     }
     reasons
 }

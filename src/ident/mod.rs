@@ -17,4 +17,4 @@ pub use dump::{Dump, DumpError, DumpFit, fit_dump};
 pub use loads::{LoadError, LoadFit, LoadPoint, fit_loads};
 pub use measured::Measured;
 pub use ringdown::{Channel, Decay, RingDown, RingDownError, fit_ring_down};
-pub use sweep::{MomentPoint, RestPoint, SweepError, SweepFit, fit_sweep};
+pub use sweep::{MomentPoint, RestPoint, SweepError, SweepFit, fit_shape, fit_sweep};

@@ -129,7 +129,7 @@ impl Answer {
         let remarks: String = remarks.map(|(step, remark)| format!("\nnote: {step}: {remark}")).collect();
         format!(
             "{simulated}FREE {}\n\n{table}\n\ngains {}: {}{remarks}\n\npages: {}\nwritten to {}; a daemon that runs takes it \
-             up when it is started again; `gains = \"{}\"` in rig.toml uses the gains",
+             up at the next arming; `gains = \"{}\"` in rig.toml uses the gains",
             self.free,
             self.gains.name,
             self.gains.text(),

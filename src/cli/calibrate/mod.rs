@@ -250,8 +250,8 @@ impl Answer<'_> {
         let simulated = if self.simulated { "SIMULATED: devices and FREE are simulated\n\n" } else { "" };
         let remarks: String = self.remarks.iter().map(|remark| format!("\nnote: {remark}")).collect();
         format!(
-            "{simulated}FREE {}\n\n{table}{remarks}\n\nfit: {}\nwritten to {}; a daemon that runs takes it up when it is \
-             started again",
+            "{simulated}FREE {}\n\n{table}{remarks}\n\nfit: {}\nwritten to {}; a daemon that runs takes it up at the next \
+             arming",
             self.free, self.report, self.calibration
         )
     }

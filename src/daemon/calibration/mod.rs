@@ -18,7 +18,7 @@ pub mod stiffness;
 use thiserror::Error;
 
 use super::{cycles, validity};
-use crate::config::calibration::{Entry, Key};
+use crate::config::calibration::{Entry, Key, keys};
 use crate::config::{Calibration, Conditions, FittedGeometry, Rig};
 use crate::ident::pluck::PluckError;
 use crate::ident::{Measured, RingDownError, SweepError};
@@ -56,9 +56,11 @@ pub struct FoundValue {
 /// What a value of the FREE `subject` of `rig` that is measured now holds for, without the ranges that it was measured
 /// over.
 fn conditions(rig: &Rig, subject: usize) -> Conditions {
-    let free = &rig.control.frees[subject].free;
+    let known = &rig.calibrations[subject];
+    let free = known.free();
+    let gamma = known.value(&keys::WINDING_ANGLE).unwrap_or(free.gamma);
     Conditions {
-        geometry: Some(FittedGeometry { gamma: free.gamma, length: free.length, radius: free.radius }),
+        geometry: Some(FittedGeometry { gamma, length: free.length, radius: free.radius }),
         regulator: validity::regulator(rig, subject),
         sensor: rig.calibrations[subject].imu_profile.map(|profile| profile.unique_id),
         cycles: cycles::counted(rig).get(subject).copied(),

@@ -1,13 +1,14 @@
 //! Torsional stiffness and hysteresis by a staircase of pressure, up, down, and with inner loops.
 
+use std::f64::consts::PI;
 use std::fmt::Write as _;
 
 use super::{CalibrationError, Finding, FoundValue, Origin, conditions, range};
 use crate::config::calibration::keys;
 use crate::config::{Calibration, Conditions, Rig};
 use crate::fem::linear::LinearSection;
-use crate::ident::{Measured, SweepFit, fit_sweep};
-use crate::model::{EquilibriumError, Kinematics, Law, Lumped};
+use crate::ident::{Measured, SweepFit, fit_shape, fit_sweep};
+use crate::model::{EquilibriumError, Free, Kinematics, Law, Lumped};
 use crate::record::{Run, stiffness_sheet};
 use crate::units::PASCAL_PER_PSI;
 
@@ -28,6 +29,8 @@ const HOLD: f64 = 1.5;
 const SHARE_OF_ANGLE: f64 = 0.7;
 /// ... or this share of the highest pressure that may be commanded, whichever is lower.
 const SHARE_OF_PRESSURE: f64 = 0.9;
+/// Share by which the effective winding angle may be off the geometry's before the report says so.
+const ANGLE_OFF: f64 = 0.05;
 /// Variation of kt over the range above which the report says so (the paper: below 1 %).
 const VARIATION_MAX: f64 = 0.01;
 
@@ -81,8 +84,14 @@ pub fn experiment(rig: &Rig, subject: usize) -> Result<String, CalibrationError>
 pub fn evaluate(rig: &Rig, subject: usize, run: &Run, date: &str) -> Result<Finding, CalibrationError> {
     let free = &rig.control.frees[subject];
     let points = run.rest_points(subject)?;
-    let fit = fit_sweep(&points, &free.free)
-        .map_err(|source| CalibrationError::Sweep { run: run.id().to_owned(), source })?;
+    let unfit = |source| CalibrationError::Sweep { run: run.id().to_owned(), source };
+    // From the angle that the FREE was wound at, whatever a measurement before has made of it.
+    let wound = rig.calibrations[subject].value(&keys::WINDING_ANGLE).unwrap_or(free.free.gamma);
+    let wound = Free { gamma: wound, ..free.free };
+    let (angle, fit) = match fit_shape(&points, &wound).map_err(unfit)? {
+        Some((angle, fit)) => (Some(angle), fit),
+        None => (None, fit_sweep(&points, &free.free).map_err(unfit)?),
+    };
     let mut calibration = rig.calibrations[subject].clone();
     let method = format!("least squares over {} points at rest of a staircase of pressure", fit.points.len());
     let origin = Origin { run, date, method: &method, residual: Some(fit.residual) };
@@ -97,12 +106,25 @@ pub fn evaluate(rig: &Rig, subject: usize, run: &Run, date: &str) -> Result<Find
             ..conditions(rig, subject)
         },
     );
+    let mut values = vec![found.clone()];
+    if let Some(angle) = angle {
+        let origin = Origin { method: "the shape of the moment over the angle, with kt and hysteresis", ..origin };
+        values.push(origin.enter(&mut calibration, &keys::EFFECTIVE_ANGLE, angle.times(180.0 / PI), None));
+    }
     calibration.hysteresis = Some(fit.hysteresis);
-    let remarks = remarks(&fit);
+    let mut remarks = remarks(&fit);
+    if let Some(angle) = angle.filter(|angle| (angle.value / wound.gamma - 1.0).abs() > ANGLE_OFF) {
+        remarks.push(format!(
+            "it turns as a FREE of {:.2} deg does, and its geometry says {:.2}: the lumped model takes the former, the finite \
+             elements the latter; measure the winding angle, the radius and the length again",
+            angle.value.to_degrees(),
+            wound.gamma.to_degrees()
+        ));
+    }
     let title = format!("Stiffness and hysteresis of {}", free.name);
     let mut sheet = stiffness_sheet(&title, &fit, run.start().simulated(), facts(&fit, &found, run));
     sheet.remarks.clone_from(&remarks);
-    Ok(Finding { calibration, values: vec![found], remarks, sheet })
+    Ok(Finding { calibration, values, remarks, sheet })
 }
 
 /// kt of the closed-form section law, N m/rad; `None` where the tube is none.

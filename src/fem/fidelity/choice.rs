@@ -58,7 +58,7 @@ pub fn choose(scene: &Scene, tolerance: f64) -> Result<Choice, FidelityError> {
     let mut ends = None;
     let mut ends = || match ends {
         Some(known) => Ok(known),
-        None => end_effects(scene).map(|found| *ends.insert(found)),
+        None => end_effects(scene, &reference).map(|found| *ends.insert(found)),
     };
     for fidelity in [Fidelity::Linear, Fidelity::Nonlinear] {
         let answer = ask(scene, fidelity)?;

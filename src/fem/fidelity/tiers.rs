@@ -14,6 +14,8 @@ use crate::units::PASCAL_PER_PSI;
 const NOTHING: f64 = 1e-12;
 /// Relative discretisation error asked of the section where nothing else is asked.
 const SECTION_TOLERANCE: f64 = 5e-3;
+/// Share of the section's limit pressure up to which a coarse solid is asked.
+const SAFE: f64 = 0.9;
 
 impl Scene {
     /// Checks what no tier can do without.
@@ -64,7 +66,7 @@ pub fn model_error(scene: &Scene, answer: &Answer) -> Result<Option<f64>, Fideli
     match answer.fidelity {
         Fidelity::Solid => Ok(None),
         _ if scene.tube.fiber_width == 0.0 => Ok(None),
-        Fidelity::Section => end_effects(scene).map(Some),
+        Fidelity::Section => end_effects(scene, answer).map(Some),
         Fidelity::Linear | Fidelity::Nonlinear => {
             let section = section(scene, SECTION_TOLERANCE)?;
             Ok(Some(difference(&answer.points, &section.points, scene)))
@@ -72,13 +74,20 @@ pub fn model_error(scene: &Scene, answer: &Answer) -> Result<Option<f64>, Fideli
     }
 }
 
-/// Relative part of the ends in the scene's answer.
-pub(super) fn end_effects(scene: &Scene) -> Result<f64, FidelityError> {
-    let half = Scene { length: 0.5 * scene.length, ..scene.clone() };
-    let mesh = coarse(&scene.tube);
-    let (points, _) = path(scene, &mesh)?;
+/// Relative part of the ends in the scene's answer, where `section` has an equilibrium: at its lowest and at its highest
+/// pressure, and there no nearer to a limit than a coarse mesh can tell.
+pub(super) fn end_effects(scene: &Scene, section: &Answer) -> Result<f64, FidelityError> {
+    let most = section.limit.as_ref().map_or(f64::INFINITY, |limit| SAFE * limit.pressure.abs());
+    let stable = section.points.iter().filter(|p| p.rest.is_some() && p.pressure != 0.0);
+    let mut pressures: Vec<f64> = stable.map(|p| p.pressure.clamp(-most, most)).collect();
+    pressures.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
+    let pressures: Vec<f64> = pressures.first().into_iter().chain(pressures.last()).copied().collect();
+    let whole = Scene { pressures, ..scene.clone() };
+    let half = Scene { length: 0.5 * scene.length, ..whole.clone() };
+    let mesh = ends(&scene.tube);
+    let (points, _) = path(&whole, &mesh)?;
     let (shorter, _) = path(&half, &mesh)?;
-    Ok(common_difference(&shorter, &points, scene))
+    Ok(common_difference(&shorter, &points, &whole))
 }
 
 /// [`difference`] over the pressures at which both have an equilibrium: a limit moves a little with mesh and length.
@@ -181,7 +190,21 @@ fn solid(scene: &Scene) -> Result<Answer, FidelityError> {
     Ok(Answer { fidelity: Fidelity::Solid, points, limit, discretisation_error })
 }
 
-/// A mesh that is coarse, but fine at the ends.
+/// A mesh that only the ends are looked at with: a quarter of the elements each way, and still small ones at the ends.
+fn ends(tube: &Tube) -> solid::Mesh {
+    solid::Mesh {
+        wall: 1,
+        wall_growth: 1.0,
+        around: 1,
+        around_growth: 6.0,
+        first: 0.2 * tube.outer_radius(),
+        along_growth: 2.0,
+        largest: 4.0 * tube.outer_radius(),
+        ..solid::Mesh::sector(tube)
+    }
+}
+
+/// Half as many elements through the wall and round the sector.
 fn coarse(tube: &Tube) -> solid::Mesh {
     let usual = solid::Mesh::sector(tube);
     solid::Mesh {

@@ -4,7 +4,7 @@
 //! takes the smooth solution's order away, and what is left is about 2. The difference between two levels is then the
 //! error of the coarser one, and more than that of the finer one, which is what is returned.
 
-use super::{Mesh, Section, SectionError};
+use super::{LimitKind, Mesh, Section, SectionError};
 use crate::fem::ends::{Ends, Equilibrium};
 use crate::fem::tube::Tube;
 
@@ -41,7 +41,8 @@ impl Mesh {
 }
 
 /// Equilibria of `tube` at `pressures`, Pa, on the coarsest mesh whose estimated error is at most `tolerance`
-/// (relative, 1e-4 to 0.5), or on the finest there is, with the error that it has.
+/// (relative, 1e-4 to 0.5), or on the finest there is, with the error that it has. A mesh that folds at the strip's end where
+/// a coarser one does not (folding depends on the mesh) is not taken.
 pub fn curve_within(tube: &Tube, pressures: &[f64], ends: Ends, tolerance: f64) -> Result<Curve, SectionError> {
     if !(1e-4..=0.5).contains(&tolerance) {
         return Err(SectionError::Tolerance(tolerance));
@@ -56,6 +57,10 @@ pub fn curve_within(tube: &Tube, pressures: &[f64], ends: Ends, tolerance: f64) 
         let errors: Vec<Option<f64>> = (points.iter().zip(&coarse))
             .map(|(fine, coarse)| Some(difference(tube, fine.as_ref().ok()?, coarse.as_ref().ok()?)))
             .collect();
+        // Where the finer mesh folds at the strip's end, it knows less than the coarser: the fold is the mesh's own.
+        if points.iter().zip(&coarse).any(|(fine, coarse)| folds(fine) && coarse.is_ok()) {
+            return Ok(Curve { points: coarse, errors, mesh: Mesh::level(level - 1), mesh_dependent });
+        }
         let curve = Curve { points, errors, mesh, mesh_dependent };
         if mesh_dependent || level == FINEST || curve.error().is_none_or(|error| error <= tolerance) {
             return Ok(curve);
@@ -63,6 +68,11 @@ pub fn curve_within(tube: &Tube, pressures: &[f64], ends: Ends, tolerance: f64) 
         coarse = curve.points;
         level += 1;
     }
+}
+
+/// Whether the rubber has folded at the strip's end before the pressure asked for.
+fn folds(point: &Result<Equilibrium, SectionError>) -> bool {
+    matches!(point, Err(SectionError::BeyondLimit { limit, .. }) if limit.kind == LimitKind::Folding)
 }
 
 /// Relative difference of two equilibria, see [`Curve::errors`].
