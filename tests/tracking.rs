@@ -2,6 +2,7 @@
 //! clock, drivers and chips included, true angle against reference.
 
 use std::path::Path;
+use std::process::Command;
 
 use freerig::config::Rig;
 use freerig::config::experiment::{Experiment, Kind};
@@ -10,7 +11,7 @@ use freerig::control::{ControllerKind, Gains, ModelSpec};
 use freerig::daemon::experiment::{Attendance, Job, run};
 use freerig::daemon::{Stepped, procedure};
 use freerig::ident::sweep::{RestPoint, fit_sweep};
-use freerig::record::{Run, RunResult};
+use freerig::record::{Metrics, Run, RunResult};
 use freerig::signal::{TickRecord, Truth};
 use freerig::sim::Plant;
 
@@ -115,6 +116,39 @@ fn errors(course: &[(f64, f64, f64, f64)]) -> (f64, f64) {
     let errors = course.iter().map(|(_, reference, truth, _)| reference - truth);
     let square = errors.clone().map(|e| e * e).sum::<f64>();
     ((square / course.len() as f64).sqrt(), errors.map(f64::abs).fold(0.0, f64::max))
+}
+
+/// The same from nothing but what `freerig calibrate all` finds, on rigs of other seeds.
+#[test]
+fn what_is_calibrated_from_nothing_is_followed_and_predicted() {
+    for seed in ["1", "2"] {
+        let folder = tempfile::tempdir().unwrap();
+        let source = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let text = std::fs::read_to_string(source.join("rig.toml")).unwrap();
+        std::fs::write(folder.path().join("rig.toml"), text.replace("gains = \"freerig\"", "gains = \"tuned-model\""))
+            .unwrap();
+        std::fs::create_dir(folder.path().join("calibration")).unwrap();
+        // Gains of that name must stand there before there are tuned ones.
+        let known = std::fs::read_to_string(source.join("calibration/paper.toml")).unwrap();
+        let known =
+            known + "\n[gains.tuned-model]\nproportional_pa_per_rad = 11600.0\nintegral_pa_per_rad_s = 200000.0\n";
+        std::fs::write(folder.path().join("calibration/paper.toml"), known).unwrap();
+        let freerig = |args: &[&str]| {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_freerig"));
+            let output =
+                command.args(args).args(["--stepped", "--seed", seed]).current_dir(folder.path()).output().unwrap();
+            assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+        };
+        let latest = || Run::find(&folder.path().join("runs"), "latest").unwrap();
+        freerig(&["calibrate", "all"]);
+        freerig(&["trajectory"]);
+        let error = Metrics::of(&latest()).unwrap().frees[0].true_error.unwrap();
+        let (rms, peak) = (error.rms_rad.to_degrees(), error.peak_rad.to_degrees());
+        freerig(&["sweep"]);
+        let share = Metrics::of(&latest()).unwrap().frees[0].model_rmsd_percent.unwrap();
+        println!("seed {seed}: RMS {rms:.3} deg, peak {peak:.3}; open loop {share:.2} % of the range");
+        assert!(rms <= 0.12 && peak <= 0.5 && share <= 1.0, "{rms} {peak} {share}");
+    }
 }
 
 #[test]
