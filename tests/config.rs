@@ -382,6 +382,9 @@ fn calibration_strategy() -> impl Strategy<Value = Calibration> {
                 let fraction = draw as f64 / u64::MAX as f64;
                 let value = key.range.0 + fraction * (key.range.1 - key.range.0);
                 let value = if key.name == keys::WINDING_ANGLE.name && value.abs() < 1.0 { 40.0 } else { value };
+                // Of the same hand as the geometry's.
+                let hand = calibration.value(&keys::WINDING_ANGLE).filter(|_| key.name == keys::EFFECTIVE_ANGLE.name);
+                let value = hand.map_or(value, |wound| value.abs().max(1.0).copysign(wound));
                 if key.required || draw % 2 == 0 {
                     let date = Some("2026-01-31".to_owned());
                     let run = Some("2026-01-31-calibrate-1".to_owned());
@@ -407,6 +410,24 @@ fn calibration_strategy() -> impl Strategy<Value = Calibration> {
             calibration
         },
     )
+}
+
+#[test]
+fn an_effective_winding_angle_of_the_other_hand_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = fs::read_to_string(repository().join("calibration/paper.toml")).unwrap();
+    let path = folder.path().join("paper.toml");
+    let with = |angle: f64| {
+        let line = format!("[lumped]\neffective_winding_angle_deg = {{ value = {angle:?}, method = \"test\" }}");
+        fs::write(&path, text.replace("[lumped]", &line)).unwrap();
+        Calibration::read(&path)
+    };
+    let known = with(-38.0).unwrap();
+    assert!((known.free().gamma.to_degrees() + 38.0).abs() < 1e-9, "the lumped model's");
+    assert!((known.tube().0.gamma.to_degrees() + 40.0).abs() < 1e-9, "the tube's is the geometry's");
+    assert!((known.simulated_nominal().gamma.to_degrees() + 40.0).abs() < 1e-9, "and so is the simulated FREE's");
+    let error = with(38.0).unwrap_err().to_string();
+    assert!(error.contains("must have the sign of `winding_angle_deg`") && error.contains("remove it"), "{error}");
 }
 
 proptest! {
