@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use super::{Context, Failure};
 use crate::config::{Calibration, gains};
 use crate::control::Gains;
-use crate::fem::linear::{LinearSection, LumpedStiffness};
+use crate::fem::lumped::LumpedStiffness;
 use crate::model::{Free, Kinematics, Law};
 use crate::signal::Quantity;
 use crate::sim::{Assessment, ClosedLoop, ClosedLoopError, Controller, SETTLING_BAND, Sample, assess};
@@ -56,7 +56,7 @@ pub struct Args {
     /// Ticks from a sample to its command, sampled controller
     #[arg(long, value_name = "N", default_value_t = 0)]
     delay_ticks: u32,
-    /// Where the stiffnesses come from: the calibration, or the section law of the finite elements
+    /// Where the stiffnesses come from: the calibration, or the section's finite elements
     #[arg(long, default_value = "calibration")]
     from: Source,
     /// Gains by name: the calibration's own or a preset [default: paper-pi]
@@ -166,7 +166,7 @@ fn calibration(free: &str, rig: &Path) -> Result<Calibration, Failure> {
     Ok(Calibration::read(&path)?)
 }
 
-/// The FREE, with the stiffnesses of the section law if asked for.
+/// The FREE, with the stiffnesses of the section's finite elements if asked for.
 fn stiffness(
     args: &Args,
     calibration: &Calibration,
@@ -177,8 +177,7 @@ fn stiffness(
         return Ok((free, None));
     }
     let (tube, assumed) = calibration.tube();
-    let section = LinearSection::new(&tube).map_err(Failure::usage)?;
-    let stiffness = section.lumped(free.length);
+    let stiffness = LumpedStiffness::by_section(&tube, free.length).map_err(Failure::usage)?;
     if !assumed.is_empty() {
         context.note(format!("not in the calibration, taken from the reference FREE: {}", assumed.join(", ")));
     }
@@ -348,7 +347,7 @@ impl Report<'_> {
         if let Some(section) = self.section {
             writeln!(
                 out,
-                "stiffness by the section law: ke {:.0} N/m, kt {:.4} N m/rad; coupling lost {:.2}",
+                "stiffness by the section's finite elements: ke {:.0} N/m, kt {:.4} N m/rad; coupling lost {:.2}",
                 section.axial, section.torsional, section.lost_coupling
             )?;
         }

@@ -30,6 +30,16 @@ fn one_line(text: &str) -> String {
     text.split(char::is_control).map(str::trim).filter(|piece| !piece.is_empty()).collect::<Vec<_>>().join(" ")
 }
 
+/// `value` with that many digits; `-` where there is none, and no sign on a zero.
+pub fn number(value: Option<f64>, digits: usize) -> String {
+    let Some(value) = value else { return "-".into() };
+    let text = format!("{value:.digits$}");
+    match text.strip_prefix('-') {
+        Some(zero) if zero.chars().all(|c| c == '0' || c == '.') => zero.to_owned(),
+        _ => text,
+    }
+}
+
 impl fmt::Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let cell = |row: &Vec<String>, i: usize| row.get(i).cloned().unwrap_or_default();
@@ -57,6 +67,14 @@ impl fmt::Display for Table {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_number_has_no_negative_zero() {
+        assert_eq!(number(Some(-1e-9), 3), "0.000");
+        assert_eq!(number(Some(-0.0012), 3), "-0.001");
+        assert_eq!(number(None, 3), "-");
+        assert_eq!(number(Some(f64::NAN), 1), "NaN");
+    }
 
     #[test]
     fn columns_line_up_and_a_note_cannot_break_them() {

@@ -33,6 +33,7 @@ pub(super) fn build(raw: RawRig, files: Vec<SourceFile>) -> Rig {
         control: control(&raw),
         wiring: wiring(&raw),
         bench: bench(&raw),
+        module: raw.module.as_ref().map(|module| module.config.clone()),
         name: raw.name,
         backend: raw.backend,
         realtime: raw.realtime,
@@ -52,11 +53,11 @@ fn control(raw: &RawRig) -> ControlConfig {
         command_timeout: raw.safety.command_timeout,
         require_realtime: raw.realtime.require_realtime,
         dump_valve: raw.backend == Backend::Sim && raw.sim.dump_valve,
-        frees: raw.frees.iter().map(|free| free_control(raw, free)).collect(),
+        frees: raw.frees.iter().enumerate().map(|(index, free)| free_control(raw, index, free)).collect(),
     }
 }
 
-fn free_control(raw: &RawRig, free: &RawFree) -> FreeControl {
+fn free_control(raw: &RawRig, index: usize, free: &RawFree) -> FreeControl {
     let mut control = FreeControl {
         name: free.name.clone(),
         free: free.calibration.free(),
@@ -68,7 +69,7 @@ fn free_control(raw: &RawRig, free: &RawFree) -> FreeControl {
         derivative_on: free.derivative_on,
         feedforward: free.feedforward,
         limits: free.limits,
-        imu: free.imu.as_ref().map(|imu| ImuChannel { axis: imu.axis, period: imu.period, delay: Duration::ZERO }),
+        imu: raw.imu(index).map(|imu| ImuChannel { axis: imu.axis, period: imu.period, delay: Duration::ZERO }),
         regulator: RegulatorChannel {
             period: regulator_period(raw, free),
             lag: Duration::ZERO,
@@ -181,18 +182,21 @@ fn wiring(raw: &RawRig) -> Wiring {
 }
 
 fn imus(raw: &RawRig, bus: &str) -> Vec<ImuWiring> {
-    let frees = raw.frees.iter().enumerate();
-    frees
-        .filter_map(|(index, free)| {
-            let imu = free.imu.as_ref().filter(|imu| imu.bus == bus)?;
-            Some(ImuWiring {
+    let mut imus: Vec<ImuWiring> = Vec::new();
+    for (index, free) in raw.frees.iter().enumerate() {
+        let Some(imu) = raw.imu(index).filter(|imu| imu.bus == bus) else { continue };
+        match imus.iter_mut().find(|other| other.address == imu.address) {
+            // That of a module's plate.
+            Some(shared) => shared.frees.push(index),
+            None => imus.push(ImuWiring {
                 frees: vec![index],
                 address: imu.address,
                 period: imu.period,
                 profile: free.calibration.imu_profile,
-            })
-        })
-        .collect()
+            }),
+        }
+    }
+    imus
 }
 
 fn dacs(raw: &RawRig, bus: &str) -> Vec<DacWiring> {

@@ -175,7 +175,7 @@ fn check_name(section: &Section<'_>, name: &str, earlier: &[RawFree]) {
     }
 }
 
-fn read_imu(mut section: Section<'_>, i2c: &[RawI2c], earlier: &[RawFree]) -> RawImu {
+pub(super) fn read_imu(mut section: Section<'_>, i2c: &[RawI2c], earlier: &[RawFree]) -> RawImu {
     let bus = read_bus(&mut section, "bus", i2c.iter().map(|bus| bus.name.as_str()), "i2c");
     let address = section.integer("address", 0x28, 0x28..=0x29) as u8;
     let taken = earlier

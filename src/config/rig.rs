@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::calibration::Calibration;
 use super::load::SourceFile;
+use super::module::ModuleConfig;
 use crate::control::ControlConfig;
 use crate::hardware::wiring::Wiring;
 use crate::sim::BenchConfig;
@@ -86,6 +87,8 @@ pub struct Rig {
     pub socket: SocketConfig,
     /// Folder of the calibration files.
     pub calibration_directory: PathBuf,
+    /// Four FREEs under one plate, where the rig has that.
+    pub module: Option<ModuleConfig>,
     /// By FREE: its calibration.
     pub calibrations: Vec<Calibration>,
     /// Every file that it was built from, as it was then; rig.toml is the first.
@@ -96,6 +99,12 @@ impl Rig {
     /// Index of the FREE called `name`.
     pub fn free(&self, name: &str) -> Option<usize> {
         self.control.frees.iter().position(|free| free.name == name)
+    }
+
+    /// The file that `calibration` was read from: FREEs may share one.
+    pub fn calibration_file(&self, calibration: &Calibration) -> Option<&SourceFile> {
+        let name = format!("{}.toml", calibration.name);
+        self.files.iter().skip(1).find(|file| file.path.file_name().is_some_and(|f| *f == *name))
     }
 
     /// Names of the FREEs.

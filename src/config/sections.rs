@@ -7,8 +7,9 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::free::{RawFree, read_free};
+use super::free::{RawFree, RawImu, read_free};
 use super::load::{Files, Library};
+use super::module::{RawModule, read_module};
 use super::reader::Section;
 use super::rig::{Backend, LoopConfig, RecordConfig, SocketConfig};
 use crate::signal::MAX_FREES;
@@ -27,6 +28,7 @@ pub(super) struct RawRig {
     pub(super) serial: Vec<RawSerial>,
     pub(super) sim: RawSim,
     pub(super) frees: Vec<RawFree>,
+    pub(super) module: Option<RawModule>,
 }
 
 /// `[safety]`.
@@ -74,6 +76,8 @@ pub(super) fn read_rig(mut root: Section<'_>, base: &Path, files: &mut Files) ->
     let serial = read_serial(&mut root);
     let calibration_directory = base.join(root.path("calibration_directory", "calibration"));
     let backend = root.choice("backend", Some(Backend::Sim), &backends).unwrap_or(Backend::Sim);
+    let frees = read_frees(&mut root, &i2c, &serial, &mut Library::new(&calibration_directory, files), backend);
+    let module = read_module(&mut root, &i2c, &frees);
     RawRig {
         name: root.optional_text("name").unwrap_or_else(|| "bench".into()),
         backend,
@@ -82,10 +86,21 @@ pub(super) fn read_rig(mut root: Section<'_>, base: &Path, files: &mut Files) ->
         record: read_record(root.section("record")),
         socket: read_socket(root.section("socket"), base),
         sim: read_sim(root.section("sim")),
-        frees: read_frees(&mut root, &i2c, &serial, &mut Library::new(&calibration_directory, files), backend),
+        frees,
+        module,
         calibration_directory,
         i2c,
         serial,
+    }
+}
+
+impl RawRig {
+    /// The IMU that measures the FREE `index`: its own, or the one on its module's plate.
+    pub(super) fn imu(&self, index: usize) -> Option<&RawImu> {
+        self.frees.get(index)?.imu.as_ref().or_else(|| {
+            let module = self.module.as_ref().filter(|module| module.config.frees.contains(&index))?;
+            module.imu.as_ref()
+        })
     }
 }
 

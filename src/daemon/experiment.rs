@@ -9,12 +9,12 @@ use super::cycles::Counter;
 use super::error::DaemonError;
 use super::procedure::{LOOK, Refusals, refused};
 use super::{Bench, margin};
-use crate::config::Rig;
 use crate::config::experiment::{Experiment, Kind};
+use crate::config::{Rig, SourceFile};
 use crate::control::{Gains, Request};
 use crate::record::{
     Backend, LiveFeed, RealtimeDocument, RecordOptions, Recorder, Repetition, Run, RunKind, RunResult, StartDocument,
-    StopDocument, sha256, write_report,
+    StopDocument, TubeDocument, sha256, write_report,
 };
 use crate::signal::{FaultCode, FaultSet, FreeTick, Quantity, RequestKind, State, TickRecord};
 use crate::sim::Hand;
@@ -320,13 +320,12 @@ fn document<B: Bench>(bench: &mut B, rig: &Rig, job: &Job, repetition: Option<Re
         granted: bench.latest().realtime && !job.stepped,
         detail: if job.stepped { "stepped clock".into() } else { String::new() },
     };
-    for (free, calibration) in start.frees.iter_mut().zip(rig.files.iter().skip(1)) {
-        free.calibration_sha256 = sha256(calibration.text.as_bytes());
-    }
     for ((free, control), calibration) in start.frees.iter_mut().zip(&rig.control.frees).zip(&rig.calibrations) {
         let name = calibration.gain_names().find(|name| calibration.gains(name) == Some(control.gains));
         free.preset = name.unwrap_or_default().to_owned();
+        free.calibration_sha256 = rig.calibration_file(calibration).map(SourceFile::sha256).unwrap_or_default();
         free.hysteresis = calibration.hysteresis.map(Into::into);
+        free.tube = TubeDocument::of(&calibration.tube().0);
     }
     if let (Some((name, gains)), Some(free)) = (&job.gains, start.frees.get_mut(job.subject)) {
         free.preset = name.clone();

@@ -34,17 +34,6 @@ pub struct LinearSection {
     fiber_strain: Vector3<f64>,
 }
 
-/// The lumped stiffnesses of a FREE of finite length, and what they cannot hold.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LumpedStiffness {
-    /// ke = K11 / L, N/m.
-    pub axial: f64,
-    /// kt such that the linear lumped model's free rotation equals the section's at small pressure, N m/rad.
-    pub torsional: f64,
-    /// K12^2 / (K11 K22), 0 to 1: the coupling of stretch and twist that the lumped model has no place for.
-    pub lost_coupling: f64,
-}
-
 impl LinearSection {
     /// The law of `tube`.
     pub fn new(tube: &Tube) -> Result<LinearSection, TubeError> {
@@ -126,17 +115,6 @@ impl LinearSection {
                 -self.actuation.y,
                 -compliance,
             ),
-        }
-    }
-
-    /// ke and kt of a FREE of `length` m for the lumped model (`--from fem`).
-    pub fn lumped(&self, length: f64) -> LumpedStiffness {
-        let ro = self.tube.outer_radius();
-        let free = self.solve(1.0, Ends::FREE);
-        LumpedStiffness {
-            axial: self.stiffness[(0, 0)] / length,
-            torsional: -2.0 * PI * ro.powi(3) / self.tube.gamma.tan() / (free.twist * length),
-            lost_coupling: self.coupling(),
         }
     }
 }
@@ -230,19 +208,6 @@ mod tests {
         assert!(a.twist < 0.0, "an R FREE turns negative");
         let (a, b) = (right.solve(1e4, Ends::BLOCKED), left.solve(1e4, Ends::BLOCKED));
         assert_eq!((a.force, a.moment), (b.force, -b.moment));
-    }
-
-    #[test]
-    fn the_lumped_stiffness_reproduces_the_free_rotation() {
-        let length = 0.13;
-        let tube = Tube::reference(40f64.to_radians());
-        let law = LinearSection::new(&tube).unwrap();
-        let lumped = law.lumped(length);
-        let rotation = -2.0 * PI * tube.outer_radius().powi(3) * 1e4 / tube.gamma.tan() / lumped.torsional;
-        assert!((rotation / length - law.solve(1e4, Ends::FREE).twist).abs() < 1e-12);
-        // physics: ke 0.6-0.9 kN/m from the material (40 deg, 110 to 130 mm: 0.58 to 0.68).
-        assert!((550.0..900.0).contains(&lumped.axial), "{}", lumped.axial);
-        assert!(lumped.torsional > 0.0 && (0.52..0.54).contains(&lumped.lost_coupling));
     }
 
     #[test]

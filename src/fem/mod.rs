@@ -11,6 +11,8 @@
 //!
 //! [`fidelity`] asks any of them the same question, and chooses the cheapest that a scene needs.
 //!
+//! [`lumped`] are the springs that they give the lumped model.
+//!
 //! All answer in the same terms: a [`tube::Tube`], its [`ends::Ends`], an [`ends::Equilibrium`]. Signs: z from base to
 //! tip, twist and moment right-handed about z, `force` and `moment` are what the closed tube does to its distal
 //! support, and they contain the thrust on the cap, because the pressure enters through `-P V` only.
@@ -18,6 +20,7 @@
 pub mod ends;
 pub mod fidelity;
 pub mod linear;
+pub mod lumped;
 pub mod material;
 pub mod module;
 pub mod rod;

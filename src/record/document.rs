@@ -7,6 +7,7 @@
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use super::tube::TubeDocument;
 use crate::control::{ControlConfig, ControllerKind, DerivativeOn, FreeControl, Gains, Limits};
 use crate::model::{ELEMENTS, Free, Hysteresis};
 use crate::signal::Quantity;
@@ -210,6 +211,9 @@ pub struct FreeDocument {
     /// Its hysteresis, where it is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hysteresis: Option<HysteresisDocument>,
+    /// Its tube as finite elements see it, where it has a calibration.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tube: Option<TubeDocument>,
     /// Its gains.
     pub gains: GainsDocument,
     /// Whether the derivative term looks at the error rather than at the measurement.
@@ -234,6 +238,7 @@ impl FreeDocument {
             calibration_sha256: String::new(),
             model: free.free.into(),
             hysteresis: None,
+            tube: None,
             gains: free.gains.into(),
             derivative_on_error: free.derivative_on == DerivativeOn::Error,
             feedforward: free.feedforward,

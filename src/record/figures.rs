@@ -110,6 +110,12 @@ pub fn sweep(signals: &Signals) -> Plot {
     if !model.is_empty() {
         lines.push(Line::new("model at rest", palette::ORANGE, &psi(&model_pressure), twist(&model)).dashed());
     }
+    // As the paper's Fig. 7: what geometry and material alone say, over what was measured.
+    if let Some(tube) = &signals.tube {
+        let (pressure, twist) = tube.free_twist(highest);
+        let per_mm = twist.iter().map(|t| t.to_degrees() * 1e-3).collect();
+        lines.push(Line::new("finite elements, long FREE", palette::PURPLE, &psi(&pressure), per_mm).dashed());
+    }
     Plot { x_label: "pressure [psi]".into(), y_label: "twist [deg/mm]".into(), height: 420, lines, ..Plot::default() }
 }
 

@@ -43,6 +43,7 @@ mod shape;
 mod sheet;
 mod signals;
 mod stiffness;
+mod tube;
 
 pub use bench::{BenchRow, BenchSuite, Curve};
 pub use columns::column_name;
@@ -72,3 +73,4 @@ pub use samples::{Batches, FILE_NAME as SAMPLES_NAME, Records, Table, floats};
 pub use sheet::Sheet;
 pub use signals::Signals;
 pub use stiffness::stiffness_sheet;
+pub use tube::TubeDocument;

@@ -6,6 +6,7 @@ use std::ops::Range;
 use super::columns::column_name;
 use super::document::RunResult;
 use super::run::Run;
+use super::tube::TubeDocument;
 use super::{RecordError, Result};
 use crate::model::{Free, Hysteresis};
 use crate::signal::Quantity;
@@ -22,6 +23,8 @@ pub struct Signals {
     pub free: Option<Free>,
     /// Its hysteresis, as far as it is known.
     pub hysteresis: Hysteresis,
+    /// Its tube as finite elements see it.
+    pub tube: Option<TubeDocument>,
     /// Time since the program's start, s; negative before it.
     pub t: Vec<f64>,
     /// Reference, rad; not a number where no angle was asked.
@@ -109,6 +112,7 @@ impl Signals {
             name: name.into(),
             free: document.map(|f| f.model.into()),
             hysteresis: document.and_then(|f| f.hysteresis).map(Hysteresis::from).unwrap_or_default(),
+            tube: document.and_then(|f| f.tube),
             t: t.iter().map(|t| t - zero).collect(),
             reference: get("reference_rad"),
             reference_pressure: get("reference_pa"),

@@ -11,6 +11,7 @@ mod hysteresis;
 pub mod identification;
 mod person;
 mod plant;
+mod plate;
 mod regulator;
 mod rig;
 pub mod ringdown;

@@ -230,7 +230,7 @@ fn significant(value: f64) -> String {
 
 /// Values before and now.
 fn value_table<'a>(values: impl IntoIterator<Item = &'a FoundValue>) -> Table {
-    let mut table = Table::new(&["value", ">before", ">now", ">standard uncertainty", ">section law"]);
+    let mut table = Table::new(&["value", ">before", ">now", ">standard uncertainty", ">finite elements"]);
     let dash = |value: Option<f64>| value.map_or("-".into(), significant);
     for v in values {
         let percent = 100.0 * v.standard_uncertainty / v.value.abs();

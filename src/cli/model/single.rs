@@ -6,13 +6,13 @@ use anyhow::anyhow;
 use clap::ValueEnum;
 use serde::Serialize;
 
-use crate::cli::table::Table;
+use crate::cli::table::{Table, number};
 use crate::cli::tube::TubeArgs;
 use crate::cli::{Context, Failure};
 use crate::config::Rig;
 use crate::fem::fidelity::{self, Answer, Considered, FidelityError, Hold, Scene};
 use crate::record::model_sheet;
-use crate::units::{Force, Length, Moment, Percent, Pressure};
+use crate::units::{Force, Length, Percent, Pressure};
 
 /// Pressures of a curve where none are given, psi.
 const CURVE: std::ops::RangeInclusive<u32> = 0..=10;
@@ -284,20 +284,19 @@ impl Report {
             ">stretch",
             ">radius mm",
             ">at fibre mm",
-            ">force",
-            ">moment",
+            ">force N",
+            ">moment mN m",
         ]);
-        let show = |value: Option<f64>, digits: usize| value.map_or("-".into(), |v| format!("{v:.digits$}"));
         for p in &self.points {
             table.row([
                 format!("{:.2}", Pressure::pascals(p.pressure_pa)),
-                show(p.twist_rad_per_m, 4),
-                show(p.twist_rad_per_m.map(|t| (t * scene.length).to_degrees()), 2),
-                show(p.axial_stretch, 5),
-                show(p.outer_radius_mean_m.map(|r| 1e3 * r), 4),
-                show(p.outer_radius_at_fiber_m.map(|r| 1e3 * r), 4),
-                p.force_n.map_or("-".into(), |f| format!("{:.4}", Force::newtons(f))),
-                p.moment_nm.map_or("-".into(), |m| format!("{:.3} mNm", 1e3 * Moment::newton_metres(m).si())),
+                number(p.twist_rad_per_m, 4),
+                number(p.twist_rad_per_m.map(|t| (t * scene.length).to_degrees()), 2),
+                number(p.axial_stretch, 5),
+                number(p.outer_radius_mean_m.map(|r| 1e3 * r), 4),
+                number(p.outer_radius_at_fiber_m.map(|r| 1e3 * r), 4),
+                number(p.force_n, 4),
+                number(p.moment_nm.map(|m| 1e3 * m), 3),
             ]);
         }
         let facts = self.facts(scene).into_iter().map(|(name, value)| format!("\n{name}: {value}")).collect::<String>();

@@ -9,10 +9,11 @@ use std::time::Instant;
 use anyhow::{Context as _, anyhow};
 use serde::Serialize;
 
-use crate::cli::table::Table;
+use crate::cli::table::{Table, number};
 use crate::cli::tube::TubeArgs;
 use crate::cli::{Context, Failure, Progress};
 use crate::config::Rig;
+use crate::fem::ends::Equilibrium;
 use crate::fem::tube::Tube;
 use crate::plan::design::{Aim, Design, best, designs, neutral};
 use crate::record::design_sheet;
@@ -175,6 +176,10 @@ struct Report {
     length_m: f64,
     pressure_pa: f64,
     best: Vec<Best>,
+    /// Designs without an equilibrium at that pressure, free and blocked, in the unit of the parameter, SI: they are
+    /// not among the best.
+    free_ended: Vec<f64>,
+    blocked_ended: Vec<f64>,
     /// Where free extension changes its sign, SI.
     neutral: Option<f64>,
     paper_neutral: Option<f64>,
@@ -227,7 +232,12 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     let page = rig.record.directory.join(format!("design-{}.html", parameter.name()));
     let values: Vec<f64> = computed.iter().map(|d| parameter.shown(parameter.get(&d.tube))).collect();
     let axis = format!("{} ({})", parameter.name(), parameter.unit());
+    let ended = |of: fn(&Design) -> &Vec<Option<Equilibrium>>| -> Vec<f64> {
+        computed.iter().filter(|d| of(d)[last].is_none()).map(|d| parameter.get(&d.tube)).collect()
+    };
     let mut report = Report {
+        free_ended: ended(|d| &d.free),
+        blocked_ended: ended(|d| &d.blocked),
         parameter: parameter.name(),
         length_m: length,
         pressure_pa: args.pressure.si(),
@@ -293,6 +303,13 @@ impl Report {
             let at = best.value.map_or("-".into(), show);
             facts.push((format!("most {}", best.aim), format!("{at} ({reached}){paper}")));
         }
+        for (held, ended) in [("free", &self.free_ended), ("blocked", &self.blocked_ended)] {
+            if !ended.is_empty() {
+                let values: Vec<String> = ended.iter().map(|v| format!("{:.1}", parameter.shown(*v))).collect();
+                let what = format!("{} {unit}: past their limit at this pressure, not compared", values.join(", "));
+                facts.push((format!("{held} ones left out"), what));
+            }
+        }
         let neutral = self.neutral.map_or("not within the sweep".into(), show);
         let paper = self.paper_neutral.map(|p| format!("; at small pressure: {}", show(p))).unwrap_or_default();
         facts.push(("no extension".into(), format!("{neutral}{paper}")));
@@ -318,16 +335,15 @@ impl Report {
             ">blocked force N",
             ">blocked moment mN m",
         ]);
-        let show = |value: Option<f64>, digits: usize| value.map_or("-".into(), |v| format!("{v:.digits$}"));
         for row in &self.rows {
             let twist = row.twist_rad_per_m;
             table.row([
                 format!("{:.2}", parameter.shown(row.value)),
-                show(twist.map(|t| (t * self.length_m).to_degrees()), 1),
-                show(twist.map(|t| 1e-3 * t.to_degrees()), 4),
-                show(row.axial_stretch.map(|s| 1e3 * (s - 1.0) * self.length_m), 2),
-                show(row.force_n, 3),
-                show(row.moment_nm.map(|m| 1e3 * m), 2),
+                number(twist.map(|t| (t * self.length_m).to_degrees()), 1),
+                number(twist.map(|t| 1e-3 * t.to_degrees()), 4),
+                number(row.axial_stretch.map(|s| 1e3 * (s - 1.0) * self.length_m), 2),
+                number(row.force_n, 3),
+                number(row.moment_nm.map(|m| 1e3 * m), 2),
             ]);
         }
         let facts =

@@ -14,7 +14,7 @@ use super::stiffness::highest_pressure;
 use super::{CalibrationError, Finding, FoundValue, Origin, conditions, range};
 use crate::config::calibration::{Calibration, keys};
 use crate::config::{Conditions, KnownLoad, Rig};
-use crate::fem::linear::LinearSection;
+use crate::fem::lumped::LumpedStiffness;
 use crate::ident::{LoadFit, LoadPoint, Measured, fit_loads};
 use crate::model::{Free, GRAVITY, HysteresisState, Kinematics, Law, Load, Lumped};
 use crate::record::{LoadsDrawing, Run, draw_loads};
@@ -290,9 +290,9 @@ pub fn evaluate(
     Ok(())
 }
 
-/// ke and kt of the closed-form section law; `None` where the tube is none.
+/// ke and kt that the section's finite elements predict; `None` where the tube is none.
 fn section(calibration: &Calibration) -> Option<(f64, f64)> {
-    let lumped = LinearSection::new(&calibration.tube().0).ok()?.lumped(calibration.free().length);
+    let lumped = LumpedStiffness::by_section(&calibration.tube().0, calibration.free().length).ok()?;
     (lumped.axial.is_finite() && lumped.torsional.is_finite()).then_some((lumped.axial, lumped.torsional))
 }
 

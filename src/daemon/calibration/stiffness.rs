@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use super::{CalibrationError, Finding, FoundValue, Origin, conditions, range};
 use crate::config::calibration::keys;
 use crate::config::{Calibration, Conditions, Rig};
-use crate::fem::linear::LinearSection;
+use crate::fem::lumped::LumpedStiffness;
 use crate::ident::{Measured, SweepFit, fit_shape, fit_sweep};
 use crate::model::{EquilibriumError, Free, Kinematics, Law, Lumped};
 use crate::record::{Run, stiffness_sheet};
@@ -127,10 +127,10 @@ pub fn evaluate(rig: &Rig, subject: usize, run: &Run, date: &str) -> Result<Find
     Ok(Finding { calibration, values, remarks, sheet })
 }
 
-/// kt of the closed-form section law, N m/rad; `None` where the tube is none.
+/// kt that the section's finite elements predict, N m/rad; `None` where the tube is none.
 fn prediction(calibration: &Calibration) -> Option<f64> {
-    let section = LinearSection::new(&calibration.tube().0).ok()?;
-    Some(section.lumped(calibration.free().length).torsional).filter(|kt| kt.is_finite())
+    let springs = LumpedStiffness::by_section(&calibration.tube().0, calibration.free().length).ok()?;
+    Some(springs.torsional).filter(|kt| kt.is_finite())
 }
 
 fn remarks(fit: &SweepFit) -> Vec<String> {
@@ -152,7 +152,7 @@ fn facts(fit: &SweepFit, found: &FoundValue, run: &Run) -> Vec<(String, String)>
             format!("{:.5} +- {:.5} N m/rad (standard uncertainty)", found.value, found.standard_uncertainty),
         ),
         ("before".into(), found.before.map_or("-".into(), |kt| format!("{kt:.5} N m/rad"))),
-        ("section law".into(), found.prediction.map_or("-".into(), |kt| format!("{kt:.5} N m/rad (closed form, 3.2)"))),
+        ("by finite elements".into(), found.prediction.map_or("-".into(), |kt| format!("{kt:.5} N m/rad"))),
         (
             "variation over the range".into(),
             fit.variation.map_or("-".into(), |v| format!("{:.2} % (the paper: below 1 %)", 100.0 * v)),

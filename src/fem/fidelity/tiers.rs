@@ -3,6 +3,7 @@
 use super::{Answer, Fidelity, FidelityError, Limit, Point, Rest, Scene, difference};
 use crate::fem::ends::Equilibrium;
 use crate::fem::linear::LinearSection;
+use crate::fem::lumped::LumpedStiffness;
 use crate::fem::section::{SectionError, curve_within};
 use crate::fem::solid::{self, PathEnd, Solid, SolidEquilibrium, Tip};
 use crate::fem::tube::Tube;
@@ -113,7 +114,7 @@ fn linear(scene: &Scene) -> Result<Answer, FidelityError> {
 /// Eqs 1-4 at rest without gravity: inextensible fibres, and the springs of the linear section law.
 fn nonlinear(scene: &Scene) -> Result<Answer, FidelityError> {
     let Scene { tube, length, .. } = scene;
-    let springs = LinearSection::new(tube)?.lumped(*length);
+    let springs = LumpedStiffness::by_closed_form(tube, *length)?;
     let free = Free {
         gamma: tube.gamma,
         length: *length,
