@@ -589,4 +589,6 @@ pub struct Truth {
     pub extension: f64,
     /// Pressure inside the FREE, Pa.
     pub pressure: f64,
+    /// Centre of its end, m, from the middle of its base (of a module: of its plate, from the middle of the bases).
+    pub position: [f64; 3],
 }

@@ -136,7 +136,15 @@ fn record_scrambled(runs: &Path, names: &[&str], count: u64, truth: bool) -> (Re
     let (mut records, mut truths) = (Vec::new(), Vec::new());
     for tick in 0..count {
         let record = scrambled(&mut r, tick, names.len());
-        let t = vec![Truth { angle: r.float(), extension: r.float(), pressure: tick as f64 }; names.len()];
+        let t = vec![
+            Truth {
+                angle: r.float(),
+                extension: r.float(),
+                pressure: tick as f64,
+                position: [r.float(), r.float(), r.float()]
+            };
+            names.len()
+        ];
         recorder.push(&record, truth.then_some(&t)).unwrap();
         records.push(record);
         truths.push(t[0]);

@@ -75,10 +75,13 @@ fn visit(v: &mut impl Visitor, t: f64, record: &mut TickRecord, truth: Option<&m
         visit_free(v, name, free);
     }
     if let Some(truth) = truth {
-        for (name, Truth { angle, extension, pressure }) in names.iter().zip(truth) {
+        for (name, Truth { angle, extension, pressure, position: [x, y, z] }) in names.iter().zip(truth) {
             v.float(name, "true_angle_rad", angle);
             v.float(name, "true_extension_m", extension);
             v.float(name, "true_pressure_pa", pressure);
+            v.float(name, "true_x_m", x);
+            v.float(name, "true_y_m", y);
+            v.float(name, "true_z_m", z);
         }
     }
 }
@@ -392,7 +395,8 @@ impl BatchBuilder {
     /// Appends `record`, at `t` seconds since the run's start. Where the builder has truth columns and `truth`
     /// is shorter than the FREEs, the rest is not a number.
     pub fn push(&mut self, t: f64, record: &TickRecord, truth: Option<&[Truth]>) {
-        const UNKNOWN: Truth = Truth { angle: f64::NAN, extension: f64::NAN, pressure: f64::NAN };
+        const UNKNOWN: Truth =
+            Truth { angle: f64::NAN, extension: f64::NAN, pressure: f64::NAN, position: [f64::NAN; 3] };
         let mut all = [UNKNOWN; crate::signal::MAX_FREES];
         for (to, from) in all.iter_mut().zip(truth.unwrap_or_default()) {
             *to = *from;

@@ -50,7 +50,7 @@ impl Run {
         let rest = |(sum, count): ([f64; 5], [f64; 5])| {
             let mean: [f64; 5] = std::array::from_fn(|i| if count[i] > 0.0 { sum[i] / count[i] } else { f64::NAN });
             let [angle, pressure, extension, true_angle, true_pressure] = mean;
-            let truth = Truth { angle: true_angle, extension, pressure: true_pressure };
+            let truth = Truth { angle: true_angle, extension, pressure: true_pressure, ..Truth::default() };
             count.iter().any(|n| *n > 0.0).then_some(Rest { angle, pressure, truth: (count[2] > 0.0).then_some(truth) })
         };
         Ok(sums.into_iter().map(rest).collect())

@@ -15,6 +15,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::chips::Orientation;
+use super::plate::{Plate, Swinging};
 use super::regulator::{Regulator, Valve};
 use super::tip::{HardStop, Tip, loop_friction};
 use super::valve::DumpValve;
@@ -94,6 +95,8 @@ struct Branch {
 pub struct Plant {
     seed: u64,
     branches: Vec<Branch>,
+    /// The plate on the ends of a module's FREEs.
+    module: Option<Swinging>,
     dump: DumpValve,
     supply: f64,
     /// Grid points passed.
@@ -112,6 +115,7 @@ impl Plant {
         Self {
             seed: config.seed,
             branches,
+            module: None,
             dump: DumpValve::new(config.dump_valve),
             supply: SUPPLY_MARGIN * largest,
             step: 0,
@@ -125,6 +129,11 @@ impl Plant {
     pub fn starting_at(mut self, time: Time) -> Self {
         self.step = grid(time);
         self
+    }
+
+    /// Fixes the ends of `frees` to `plate`: from now on they move as it does.
+    pub fn mount(&mut self, frees: Vec<usize>, plate: Plate) {
+        self.module = Some(Swinging::new(frees, plate, MEMORY));
     }
 
     /// How many FREEs there are.
@@ -195,6 +204,11 @@ impl Plant {
 
     /// Motion of a FREE's end at `time`, as a sensor fixed to it with its z along the FREE sees it, by interpolation between the remembered states (2 s of them).
     pub fn orientation(&mut self, free: usize, time: Time) -> Orientation {
+        self.advance_to(time);
+        let (before, after, x) = self.around(time);
+        if let Some(module) = self.module.as_ref().filter(|module| module.holds(free)) {
+            return module.orientation(before, after, x);
+        }
         let s = self.at(free, time);
         let (sin, cos) = (0.5 * s.angle).sin_cos();
         Orientation {
@@ -207,7 +221,18 @@ impl Plant {
     /// What a FREE really does at `time`.
     pub fn truth(&mut self, free: usize, time: Time) -> Truth {
         let s = self.at(free, time);
-        Truth { angle: s.angle, extension: s.extension, pressure: s.pressure }
+        let (before, after, x) = self.around(time);
+        if let Some(module) = self.module.as_ref().filter(|module| module.holds(free)) {
+            return Truth { pressure: s.pressure, ..module.truth(before, after, x) };
+        }
+        let length = self.branches.get(free).map_or(0.0, |b| b.tip.free().length);
+        let position = [0.0, 0.0, length + s.extension];
+        Truth { angle: s.angle, extension: s.extension, pressure: s.pressure, position }
+    }
+
+    /// Whether the module's plate is where it has no equilibrium any more.
+    pub fn plate_stuck(&self) -> bool {
+        self.module.as_ref().is_some_and(|module| module.plate().stuck())
     }
 
     /// Which hard stop a FREE's end rests on, where it does.
@@ -224,12 +249,17 @@ impl Plant {
     fn at(&mut self, free: usize, time: Time) -> Snapshot {
         self.advance_to(time);
         let Some(branch) = self.branches.get(free) else { return Snapshot::default() };
+        let (before, after, x) = self.around(time);
+        Snapshot::between(&branch.memory[before], &branch.memory[after], x)
+    }
+
+    /// Places in the memory of the states before and after `time`, and where between them it lies, 0 to 1.
+    fn around(&self, time: Time) -> (usize, usize, f64) {
         let oldest = self.step.saturating_sub(MEMORY as u64 - 1);
         let (before, rest) = (time.as_nanos() / step_nanos(), time.as_nanos() % step_nanos());
         let before = before.clamp(oldest, self.step);
         let after = (before + 1).min(self.step);
-        let x = rest as f64 / step_nanos() as f64;
-        Snapshot::between(&branch.memory[slot(before)], &branch.memory[slot(after)], x)
+        (slot(before), slot(after), rest as f64 / step_nanos() as f64)
     }
 
     /// One substep.
@@ -243,8 +273,12 @@ impl Plant {
         let dt = STEP.as_secs_f64();
         let exhaust = self.dump.exhaust(self.step as f64 * dt);
         self.step += 1;
-        for branch in &mut self.branches {
-            branch.advance(dt, self.supply, exhaust, slot(self.step));
+        let held = |free: usize| self.module.as_ref().is_some_and(|module| module.holds(free));
+        for (free, branch) in self.branches.iter_mut().enumerate() {
+            branch.advance(dt, self.supply, exhaust, slot(self.step), !held(free));
+        }
+        if let Some(module) = &mut self.module {
+            module.advance(|free| self.branches.get(free).map_or(0.0, |b| b.pressure), dt, slot(self.step));
         }
     }
 
@@ -291,11 +325,14 @@ impl Branch {
         branch
     }
 
-    fn advance(&mut self, dt: f64, supply: f64, exhaust: Option<f64>, slot: usize) {
+    /// `own`: its end moves on its own, not with a plate.
+    fn advance(&mut self, dt: f64, supply: f64, exhaust: Option<f64>, slot: usize, own: bool) {
         let before = self.pressure;
         self.pressure = self.regulator.step(before, dt, supply, exhaust);
         let velocity = self.tip.velocity();
-        self.tip.step(0.5 * (before + self.pressure), dt);
+        if own {
+            self.tip.step(0.5 * (before + self.pressure), dt);
+        }
         self.remember(slot, (self.tip.velocity() - velocity) / dt);
     }
 

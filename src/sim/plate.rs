@@ -8,9 +8,13 @@
 //! Where the rods have no stable equilibrium any more (a limit point, buckling, tubes that touch), the equilibrium
 //! stays where it was, and the plate says so.
 
+use std::f64::consts::TAU;
+
 use nalgebra::{Matrix6, SymmetricEigen, UnitQuaternion, Vector3, Vector6};
 
+use super::chips::Orientation;
 use crate::fem::module::{Loads, Module, ModuleError, State};
+use crate::signal::Truth;
 
 /// Change of a pressure after which the equilibrium is linearised anew, Pa (0.05 psi): what is left of the equilibrium's
 /// curvature over that is some micrometres.
@@ -200,6 +204,102 @@ impl Modes {
             *q = next;
         }
         (self.shapes * q, self.shapes * v)
+    }
+}
+
+/// A plate on the ends of some FREEs, with a memory of its motion.
+#[derive(Clone, Debug)]
+pub(super) struct Swinging {
+    frees: Vec<usize>,
+    plate: Plate,
+    pressures: Vec<f64>,
+    memory: Vec<Motion>,
+}
+
+/// The plate at one instant.
+#[derive(Clone, Copy, Debug)]
+struct Motion {
+    rotation: UnitQuaternion<f64>,
+    position: Vector3<f64>,
+    rate: Vector3<f64>,
+    acceleration: Vector3<f64>,
+    /// Turn about z, unwrapped, rad.
+    turn: f64,
+}
+
+impl Swinging {
+    /// `plate` on the ends of `frees`, at rest for as long as `states` are remembered.
+    pub fn new(frees: Vec<usize>, plate: Plate, states: usize) -> Swinging {
+        let rest = Motion::of(&plate, 0.0);
+        Swinging { pressures: vec![0.0; frees.len()], frees, plate, memory: vec![rest; states] }
+    }
+
+    /// Whether the end of `free` is on it.
+    pub fn holds(&self, free: usize) -> bool {
+        self.frees.contains(&free)
+    }
+
+    /// The plate.
+    pub fn plate(&self) -> &Plate {
+        &self.plate
+    }
+
+    /// `dt` s on under the FREEs' `pressure`, Pa; remembered at `slot`, which follows the one before.
+    pub fn advance(&mut self, pressure: impl Fn(usize) -> f64, dt: f64, slot: usize) {
+        for (to, free) in self.pressures.iter_mut().zip(&self.frees) {
+            *to = pressure(*free);
+        }
+        self.plate.step(&self.pressures, dt);
+        let states = self.memory.len();
+        let before = self.memory[(slot + states - 1) % states].turn;
+        self.memory[slot] = Motion::of(&self.plate, before);
+    }
+
+    /// The motion that a sensor on the plate sees, its z along the plate's: `x` (0 to 1) of the way from the state
+    /// remembered at `before` to that at `after`.
+    pub fn orientation(&self, before: usize, after: usize, x: f64) -> Orientation {
+        let motion = self.between(before, after, x);
+        let back = motion.rotation.inverse();
+        let q = motion.rotation.quaternion();
+        Orientation {
+            quaternion: [q.w, q.i, q.j, q.k],
+            rate: (back * motion.rate).into(),
+            acceleration: (back * motion.acceleration).into(),
+        }
+    }
+
+    /// What the plate really does then; without a pressure.
+    pub fn truth(&self, before: usize, after: usize, x: f64) -> Truth {
+        let motion = self.between(before, after, x);
+        let extension = motion.position.z - self.plate.module.rest().z;
+        Truth { angle: motion.turn, extension, pressure: 0.0, position: motion.position.into() }
+    }
+
+    fn between(&self, before: usize, after: usize, x: f64) -> Motion {
+        let (a, b) = (&self.memory[before], &self.memory[after]);
+        Motion {
+            rotation: a.rotation.nlerp(&b.rotation, x),
+            position: a.position.lerp(&b.position, x),
+            rate: a.rate.lerp(&b.rate, x),
+            acceleration: a.acceleration.lerp(&b.acceleration, x),
+            turn: a.turn + (b.turn - a.turn) * x,
+        }
+    }
+}
+
+impl Motion {
+    fn of(plate: &Plate, turn: f64) -> Motion {
+        // Swing and twist: the turn about z, on the sheet of the one before.
+        let q = plate.rotation().into_inner();
+        let now = 2.0 * q.k.atan2(q.w);
+        let turn = now + TAU * ((turn - now) / TAU).round();
+        Motion {
+            rotation: plate.rotation(),
+            position: plate.position(),
+            rate: plate.rate(),
+            acceleration: plate.acceleration(),
+            turn,
+        }
     }
 }
 

@@ -1,10 +1,12 @@
 //! The whole simulated rig: plant and chips on the buses of a wiring, for the real drivers to find.
 
 use std::collections::BTreeMap;
+use std::f64::consts::PI;
 use std::io;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use nalgebra::{UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -62,9 +64,13 @@ impl SimRig {
         let Some(&free) = wiring.frees.first() else { return };
         let axis = axes.get(free).copied().unwrap_or([0.0, 0.0, 1.0]);
         let plant = self.plant();
+        // Opposite directions have no short way: about x then.
+        let turn = UnitQuaternion::rotation_between(&Vector3::z(), &Vector3::from(axis))
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
         let motion = move |time| {
             let motion = plant.lock().unwrap_or_else(PoisonError::into_inner).orientation(free, time);
-            let along = |v: [f64; 3]| axis.map(|a| a * v[2]);
+            // The sensor's frame has the FREE's z along `axis`, turned there the short way.
+            let along = |v: [f64; 3]| <[f64; 3]>::from(turn * Vector3::from(v));
             let [w, x, y, z] = motion.quaternion;
             let [i, j, k] = along([x, y, z]);
             Orientation { quaternion: [w, i, j, k], rate: along(motion.rate), acceleration: along(motion.acceleration) }

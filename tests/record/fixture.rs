@@ -138,7 +138,7 @@ pub fn run(runs: &Path, mut start: StartDocument, program: &Program, seed: u64, 
             ..PressureSample::default()
         };
         let command = free.command;
-        let truth = Truth { angle: state.rotation, extension: state.extension, pressure };
+        let truth = Truth { angle: state.rotation, extension: state.extension, pressure, ..Truth::default() };
         recorder.push(&record, Some(&[truth])).unwrap();
         // First-order lag of 40 ms, then the plant over one period.
         pressure += (command - pressure) * (1.0 - (-dt / 0.04).exp());
