@@ -526,7 +526,7 @@ fn the_experiments_of_the_repository_are_those_of_the_paper() {
 #[test]
 fn a_sweep_goes_up_and_down_again() {
     let rig = example_rig();
-    let (name, text) = Kind::Sweep.default_file();
+    let (name, text) = Kind::Sweep.default_file().unwrap();
     let sweep = Experiment::parse(Path::new(name), text, &rig, None).unwrap_or_else(|error| panic!("{error}"));
     let psi = |time| sweep.program.reference(0, time).position / PASCAL_PER_PSI;
     assert_eq!(sweep.program.duration, 33.0);
@@ -539,7 +539,7 @@ fn a_sweep_goes_up_and_down_again() {
 fn flags_and_files_say_the_same() {
     let rig = example_rig();
     for kind in Kind::ALL {
-        let (name, text) = kind.default_file();
+        let Some((name, text)) = kind.default_file() else { continue };
         let file = Experiment::parse(Path::new(name), text, &rig, None).unwrap();
         let flags = Course::default().to_toml(kind);
         let flags = Experiment::parse(Path::new("flags"), &flags, &rig, None).unwrap_or_else(|error| panic!("{error}"));

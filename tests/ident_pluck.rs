@@ -41,6 +41,7 @@ fn record(nominal: Free, seed: u64, hysteresis: f64, angle: f64, added: f64) -> 
     let mut plant = Plant::new(&BenchConfig {
         seed,
         plants: vec![PlantSim { nominal, scatter: 0.03, hysteresis, load_moment: 0.0, regulator, analogue: None }],
+        module: None,
         imu: ImuSim { delay, noise, rate_noise },
         dump_valve: true,
     });

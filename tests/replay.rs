@@ -29,7 +29,7 @@ fn record(rig: &Rig, kind: Kind, trouble: bool) -> Run {
             imu.always(Misbehaviour::Silent);
         }
     };
-    let (name, text) = kind.default_file();
+    let (name, text) = kind.default_file().unwrap();
     let experiment = Experiment::parse(Path::new(name), text, rig, None).unwrap();
     let job = Job { accept_margin: true, stepped: true, ..Job::new(experiment, Attendance::Here) };
     let run = run(&mut bench, rig, &job, &mut watch).unwrap().remove(0);

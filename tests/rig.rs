@@ -35,7 +35,7 @@ fn the_same_seed_gives_the_same_bits() {
         let rig = rig(folder.path());
         let mut bench = Stepped::new(&rig).unwrap();
         procedure::arm(&mut bench, &rig, true).unwrap();
-        let (name, text) = Kind::Trajectory.default_file();
+        let (name, text) = Kind::Trajectory.default_file().unwrap();
         let experiment = Experiment::parse(Path::new(name), text, &rig, None).unwrap();
         let job = Job { accept_margin: true, stepped: true, ..Job::new(experiment, Attendance::Here) };
         let runs = run(&mut bench, &rig, &job, &mut |_| {}).unwrap();

@@ -101,7 +101,7 @@ fn plain(rig: &Rig, gains: Gains) -> Rig {
 
 /// Time (s), reference and true angle (deg), and true pressure (Pa) in every tick of the program.
 fn course(rig: &Rig, kind: Kind) -> Vec<(f64, f64, f64, f64)> {
-    let (name, text) = kind.default_file();
+    let (name, text) = kind.default_file().unwrap();
     let run = carry_out(rig, name, text);
     let records = run.records().unwrap().filter(|(r, _)| r.program_time.is_finite());
     let degrees = |rad: f64| rad.to_degrees();

@@ -249,7 +249,8 @@ fn gain_margin(rig: &Rig, gains: Option<&str>) -> Option<f64> {
 
 /// The paper's experiment for the rig's first FREE, with other `gains` or its own.
 fn job(rig: &Rig, kind: Kind, gains: Option<&str>) -> Result<Job, Failure> {
-    let (name, text) = kind.default_file();
+    let (name, text) =
+        kind.default_file().ok_or_else(|| Failure::usage(anyhow!("a {} has no file of its own", kind.name())))?;
     let free = rig.control.frees.first().map(|free| free.name.as_str());
     let mut text = text.to_owned();
     if let Some(gains) = gains {

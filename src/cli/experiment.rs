@@ -1,4 +1,4 @@
-//! `freerig step`, `trajectory` and `sweep`: an experiment, run by the daemon or, with `--stepped`, here on the
+//! `freerig step`, `trajectory`, `sweep` and `whisk`: an experiment, run by the daemon or, with `--stepped`, here on the
 //! simulated rig as fast as the machine can.
 
 use std::path::{Path, PathBuf};
@@ -142,7 +142,11 @@ impl Args {
         }
         let course = self.flags.course();
         if course.is_empty() {
-            let (name, text) = kind.default_file();
+            let (name, text) = kind.default_file().ok_or_else(|| {
+                Failure::usage(anyhow::anyhow!("a {} needs its plan", kind.name())).remedy(
+                    "make one: `freerig plan whisk --output whisk.toml`, and name it: `freerig whisk whisk.toml`",
+                )
+            })?;
             return Ok((Path::new(name).to_owned(), text.to_owned()));
         }
         Ok((PathBuf::from("command-line.toml"), course.to_toml(kind)))

@@ -122,6 +122,8 @@ enum Command {
     Trajectory(experiment::Args),
     /// Quasi-static pressure up and down: twist against pressure with its hysteresis
     Sweep(experiment::Args),
+    /// A module's whisk, as `freerig plan whisk` has written it
+    Whisk(experiment::Args),
     /// Measure what is not known of a FREE, and put it into its calibration
     Calibrate(calibrate::Args),
     /// Root locus; gains with the damping and the margins asked for
@@ -165,6 +167,7 @@ impl Command {
             Command::Step(args) => experiment::run(Kind::Step, args, context),
             Command::Trajectory(args) => experiment::run(Kind::Trajectory, args, context),
             Command::Sweep(args) => experiment::run(Kind::Sweep, args, context),
+            Command::Whisk(args) => experiment::run(Kind::Whisk, args, context),
             Command::Calibrate(args) => calibrate::run(args, context),
             Command::Tune(args) => tune::run(args, context),
             Command::Runs(args) => runs::run(args, context),

@@ -134,6 +134,18 @@ impl Outcome {
                 }
             }
         }
+        for (run, tip) in self.runs.iter().filter_map(|run| Some((run, run.tip?))) {
+            let mm = |m: f64| format!("{:.2} mm", 1e3 * m);
+            line(format!(
+                "{}: plate from its plan: RMS {}, peak {}",
+                run.id,
+                mm(tip.rms_error_m),
+                mm(tip.peak_error_m)
+            ));
+            if let Some((rms, peak)) = tip.true_rms_error_m.zip(tip.true_peak_error_m) {
+                line(format!("{:width$}  true (SIMULATED): RMS {}, peak {}", "", mm(rms), mm(peak)));
+            }
+        }
         for scatter in self.repeats.iter().filter(|scatter| scatter.runs > 1) {
             line(format!(
                 "{:width$}  {:<12} {:>10} +- {} over {} runs",

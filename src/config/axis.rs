@@ -73,7 +73,7 @@ fn read_course(section: &mut Section<'_>, kind: Kind) -> Option<Axis> {
     let (default_shape, default_move) = match kind {
         Kind::Step => (Shape::Step, Some(0.0)),
         Kind::Trajectory => (Shape::Cubic, None),
-        Kind::Sweep => (Shape::Linear, Some(1.0)),
+        Kind::Sweep | Kind::Whisk => (Shape::Linear, Some(1.0)),
     };
     let angles = section.numbers("angles_deg", ANY);
     let pressures = section.numbers("pressures_psi", ANY);
@@ -210,7 +210,7 @@ fn finish(
 }
 
 /// What is asked must be within what the FREE may do.
-fn check_limits(section: &Section<'_>, free: &FreeControl, axis: &Axis, key: &str) {
+pub(super) fn check_limits(section: &Section<'_>, free: &FreeControl, axis: &Axis, key: &str) {
     let (low, high) = axis.sequence.range();
     match axis.quantity {
         Quantity::Pressure => {

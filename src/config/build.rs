@@ -9,7 +9,7 @@ use super::rig::{Backend, Rig};
 use super::sections::{RawRig, duration};
 use crate::control::{ControlConfig, ControllerKind, FreeControl, ImuChannel, ModelSpec, RegulatorChannel};
 use crate::hardware::wiring::{DacChannel, DacWiring, I2cWiring, ImuWiring, SerialWiring, UnitWiring, Wiring};
-use crate::sim::{AnalogueSim, BenchConfig, ImuSim, PlantSim, RegulatorSim};
+use crate::sim::{AnalogueSim, BenchConfig, ImuSim, ModuleSim, PlantSim, RegulatorSim};
 
 /// Characters of one transaction with an Alicat unit: `AS5.0000\r`, its reply `A +050.42 +050.42\r`, and the 3.5
 /// idle characters that the unit needs before the next.
@@ -269,6 +269,11 @@ fn bench(raw: &RawRig) -> BenchConfig {
                 analogue: analogue(free),
             })
             .collect(),
+        module: raw.module.as_ref().map(|module| ModuleSim {
+            frees: module.config.frees,
+            scene: module.config.scene(|index| &raw.frees[index].calibration),
+            damping: module.config.damping,
+        }),
         imu: ImuSim { delay: raw.sim.imu_delay, noise: raw.sim.imu_noise, rate_noise: raw.sim.imu_rate_noise },
         dump_valve: raw.sim.dump_valve,
     }

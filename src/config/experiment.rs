@@ -1,7 +1,7 @@
-//! Experiment files: what `freerig step`, `trajectory` and `sweep` ask of the FREEs.
+//! Experiment files: what `freerig step`, `trajectory`, `sweep` and `whisk` ask of the FREEs.
 //!
 //! ```toml
-//! kind = "trajectory"            # step, trajectory or sweep
+//! kind = "trajectory"            # step, trajectory, sweep or whisk
 //! name = "three angles"          # for the record; by default the file's name
 //! note = ""
 //! repeat = 1
@@ -25,6 +25,8 @@
 //! ]
 //! ```
 //!
+//! A whisk has keys of its own ([`super::whisk`]).
+//!
 //! An experiment is checked against the rig that is to run it: its FREEs, their limits, their gains.
 
 use std::fmt::Write;
@@ -35,6 +37,7 @@ use super::calibration::quoted;
 use super::problem::{ConfigError, Problem};
 use super::reader::{Section, Source};
 use super::rig::Rig;
+use super::whisk::{Whisk, read_whisk};
 use crate::control::Gains;
 use crate::signal::MAX_FREES;
 use crate::trajectory::{Axis, Program};
@@ -49,11 +52,13 @@ pub enum Kind {
     Trajectory,
     /// Quasi-static pressure, up and down.
     Sweep,
+    /// The pressures of a module's plan.
+    Whisk,
 }
 
 impl Kind {
     /// Every kind.
-    pub const ALL: [Kind; 3] = [Kind::Step, Kind::Trajectory, Kind::Sweep];
+    pub const ALL: [Kind; 4] = [Kind::Step, Kind::Trajectory, Kind::Sweep, Kind::Whisk];
 
     /// Name in files and of the command.
     pub const fn name(self) -> &'static str {
@@ -61,6 +66,7 @@ impl Kind {
             Kind::Step => "step",
             Kind::Trajectory => "trajectory",
             Kind::Sweep => "sweep",
+            Kind::Whisk => "whisk",
         }
     }
 
@@ -69,12 +75,16 @@ impl Kind {
         Kind::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
-    /// File name and text of the experiment that is run where none is named: the paper's.
-    pub const fn default_file(self) -> (&'static str, &'static str) {
+    /// File name and text of the experiment that is run where none is named: the paper's; a whisk has none, since its
+    /// plan belongs to its module.
+    pub const fn default_file(self) -> Option<(&'static str, &'static str)> {
         match self {
-            Kind::Step => ("paper-step.toml", include_str!("../../experiments/paper-step.toml")),
-            Kind::Trajectory => ("paper-trajectory.toml", include_str!("../../experiments/paper-trajectory.toml")),
-            Kind::Sweep => ("sweep.toml", include_str!("../../experiments/sweep.toml")),
+            Kind::Step => Some(("paper-step.toml", include_str!("../../experiments/paper-step.toml"))),
+            Kind::Trajectory => {
+                Some(("paper-trajectory.toml", include_str!("../../experiments/paper-trajectory.toml")))
+            }
+            Kind::Sweep => Some(("sweep.toml", include_str!("../../experiments/sweep.toml"))),
+            Kind::Whisk => None,
         }
     }
 }
@@ -96,6 +106,8 @@ pub struct Experiment {
     pub gains: Option<(String, Gains)>,
     /// What is asked of every FREE.
     pub program: Program,
+    /// The plan of a whisk.
+    pub whisk: Option<Whisk>,
 }
 
 impl Experiment {
@@ -155,7 +167,7 @@ impl Course {
         let (angles, moving, hold) = match kind {
             Kind::Step => ("50, 20, 80", 0.0, 3.0),
             Kind::Trajectory => ("40, 10, 70", 1.5, 1.5),
-            Kind::Sweep => ("", 1.0, 2.0),
+            Kind::Sweep | Kind::Whisk => ("", 1.0, 2.0),
         };
         let mut text = format!("# From the command line.\nkind = \"{}\"\n", kind.name());
         let mut line = |line: String| {
@@ -199,11 +211,17 @@ fn read(mut root: Section<'_>, path: &Path, rig: &Rig, free: Option<&str>) -> Op
     let name = root.optional_text("name").unwrap_or(stem);
     let note = root.optional_text("note").unwrap_or_default();
     let repeat = root.integer("repeat", 1, 1..=1000) as u32;
-    let axes = read_axes(&mut root, kind, rig, free);
+    let (axes, whisk) = match kind {
+        Kind::Whisk => {
+            let (whisk, axes) = read_whisk(&mut root, rig)?;
+            (axes, Some(Whisk { name: name.clone(), ..whisk }))
+        }
+        _ => (read_axes(&mut root, kind, rig, free), None),
+    };
     let gains = read_gains(&mut root, &axes, rig);
     let subject = axes.first()?.0;
     match Program::new(axes) {
-        Ok(program) => Some(Experiment { kind, name, note, repeat, subject, gains, program }),
+        Ok(program) => Some(Experiment { kind, name, note, repeat, subject, gains, program, whisk }),
         Err(error) => {
             root.reject("axis", error.to_string(), "correct the axis: every FREE at most once");
             None

@@ -35,6 +35,7 @@ mod rig;
 mod script;
 mod sections;
 mod tube;
+mod whisk;
 
 pub use calibration::Calibration;
 pub use conditions::{Conditions, FittedGeometry};
@@ -47,3 +48,4 @@ pub use module::{FREES as MODULE_FREES, ModuleConfig};
 pub use problem::{ConfigError, Problem};
 pub use rig::{Backend, LoopConfig, RecordConfig, Rig, SocketConfig};
 pub use script::Script;
+pub use whisk::Whisk;

@@ -1,10 +1,12 @@
 //! `[module]` of rig.toml: four FREEs under one plate.
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
+use super::calibration::Calibration;
 use super::free::{RawFree, RawImu, read_imu};
 use super::reader::Section;
 use super::sections::RawI2c;
+use crate::fem::module::{Free, ModuleScene};
 use crate::model::GRAVITY;
 
 /// FREEs of a module.
@@ -25,6 +27,26 @@ pub struct ModuleConfig {
     pub damping: f64,
 }
 
+impl ModuleConfig {
+    /// The module that the calibrations of its FREEs describe.
+    pub(super) fn scene<'c>(&self, calibration: impl Fn(usize) -> &'c Calibration) -> ModuleScene {
+        let frees = self.frees.map(|index| {
+            let known = calibration(index);
+            let (tube, _) = known.tube();
+            Free { tube, length: known.free().length, dead_length: 0.0, rest_curvature: Vector2::zeros() }
+        });
+        let zero = Vector3::zeros();
+        ModuleScene {
+            frees,
+            spacing: self.spacing,
+            plate_mass: self.plate_mass,
+            force: zero,
+            moment: zero,
+            gravity: self.gravity,
+        }
+    }
+}
+
 /// `[module]`, and the plate's IMU.
 #[derive(Debug)]
 pub(super) struct RawModule {
@@ -40,8 +62,8 @@ pub(super) fn read_module(root: &mut Section<'_>, i2c: &[RawI2c], frees: &[RawFr
     }
     let mut section = root.section("module");
     let members = read_members(&mut section, frees);
-    let spacing = 1e-3 * section.number("spacing_mm", 20.0, 1.0..=500.0);
-    let plate_mass = 1e-3 * section.number("plate_mass_g", 10.0, 0.1..=5000.0);
+    let spacing = section.number("spacing_mm", 20.0, 1.0..=500.0);
+    let plate_mass = section.number("plate_mass_g", 10.0, 0.1..=5000.0);
     let directions = [("hanging", 1.0), ("standing", -1.0), ("none", 0.0)];
     let direction = section.choice("gravity", Some(1.0), &directions).unwrap_or(1.0);
     let imu = section.has("imu").then(|| read_imu(section.section("imu"), i2c, frees));
@@ -49,7 +71,7 @@ pub(super) fn read_module(root: &mut Section<'_>, i2c: &[RawI2c], frees: &[RawFr
         section.expect("imu");
     }
     let mut twin = section.section("sim");
-    let damping = 0.01 * twin.number("damping_percent", 20.0, 1.0..=90.0);
+    let damping = twin.number("damping_percent", 20.0, 1.0..=90.0);
     let members = members?;
     for index in members {
         let tube = frees[index].calibration.tube().0;

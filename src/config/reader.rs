@@ -242,6 +242,22 @@ impl<'a> Section<'a> {
         Some(numbers?.into_iter().map(|number| number * scale).collect())
     }
 
+    /// Lists of numbers in the unit of the key's name; none where the key is absent (or wrong, which is noted). In SI.
+    pub(super) fn rows(&mut self, key: &'static str, range: RangeInclusive<f64>) -> Vec<Vec<f64>> {
+        let Some(value) = self.get(key) else { return Vec::new() };
+        let scale = key::scale(key);
+        let row = |item: &Spanned<DeValue<'_>>| -> Option<Vec<f64>> {
+            let item = array(item.get_ref())?.iter();
+            item.map(|item| number(item.get_ref()).filter(|n| range.contains(n)).map(|n| n * scale)).collect()
+        };
+        let rows = array(value.get_ref()).and_then(|array| array.iter().map(row).collect());
+        rows.unwrap_or_else(|| {
+            let rule = format!("must be a list of lists of numbers, each {}", in_range(&range));
+            self.reject(key, rule, format!("write for example `{key} = [[1, 2, 3], [4, 5, 6]]`"));
+            Vec::new()
+        })
+    }
+
     /// Texts; none where the key is absent (or wrong, which is noted).
     pub(super) fn texts(&mut self, key: &'static str) -> Vec<String> {
         let Some(value) = self.get(key) else { return Vec::new() };

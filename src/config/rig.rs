@@ -7,6 +7,7 @@ use super::calibration::Calibration;
 use super::load::SourceFile;
 use super::module::ModuleConfig;
 use crate::control::ControlConfig;
+use crate::fem::module::ModuleScene;
 use crate::hardware::wiring::Wiring;
 use crate::sim::BenchConfig;
 
@@ -99,6 +100,16 @@ impl Rig {
     /// Index of the FREE called `name`.
     pub fn free(&self, name: &str) -> Option<usize> {
         self.control.frees.iter().position(|free| free.name == name)
+    }
+
+    /// The module that the calibrations of its FREEs describe; none where the rig has none.
+    pub fn module_scene(&self) -> Option<ModuleScene> {
+        Some(self.module.as_ref()?.scene(|index| &self.calibrations[index]))
+    }
+
+    /// The highest pressure that any FREE of the rig is ever to see, Pa: the hard limit.
+    pub fn highest_pressure(&self) -> f64 {
+        self.control.frees.iter().map(|free| free.limits.pressure_hard).fold(0.0, f64::max)
     }
 
     /// The file that `calibration` was read from: FREEs may share one.

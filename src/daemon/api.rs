@@ -273,6 +273,22 @@ pub struct RunResult {
     pub reason: Option<String>,
     /// Figures by FREE.
     pub frees: Vec<FreeResult>,
+    /// How far a module's plate was from where it was wanted, where that was asked.
+    #[serde(default)]
+    pub tip: Option<TipResult>,
+}
+
+/// How far the centre of a module's plate was from where it was wanted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TipResult {
+    /// Root mean square of the distance of the estimated centre, m.
+    pub rms_error_m: f64,
+    /// Largest, m.
+    pub peak_error_m: f64,
+    /// Root mean square of the distance of the simulated rig's true centre, m; `null` on hardware.
+    pub true_rms_error_m: Option<f64>,
+    /// Largest, m.
+    pub true_peak_error_m: Option<f64>,
 }
 
 /// Figures of one FREE over a run; its error is reference minus angle.

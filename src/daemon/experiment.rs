@@ -10,11 +10,11 @@ use super::error::DaemonError;
 use super::procedure::{LOOK, Refusals, refused};
 use super::{Bench, margin};
 use crate::config::experiment::{Experiment, Kind};
-use crate::config::{Rig, SourceFile};
+use crate::config::{Rig, SourceFile, Whisk};
 use crate::control::{Gains, Request};
 use crate::record::{
-    Backend, LiveFeed, RealtimeDocument, RecordOptions, Recorder, Repetition, Run, RunKind, RunResult, StartDocument,
-    StopDocument, TubeDocument, sha256, write_report,
+    Backend, LiveFeed, ModuleDocument, RealtimeDocument, RecordOptions, Recorder, Repetition, Run, RunKind, RunResult,
+    StartDocument, StopDocument, TubeDocument, WhiskDocument, sha256, write_report,
 };
 use crate::signal::{FaultCode, FaultSet, FreeTick, Quantity, RequestKind, State, TickRecord};
 use crate::sim::Hand;
@@ -61,6 +61,8 @@ pub struct Job {
     pub hand: Option<Hand>,
     /// On the stepped clock.
     pub stepped: bool,
+    /// The plan of a whisk.
+    pub whisk: Option<Whisk>,
     /// Take the pressures down after each run; by hand they stay.
     pub and_back: bool,
     /// Where the live view is fed, if it is to show the runs.
@@ -76,6 +78,7 @@ impl Job {
             Kind::Step => RunKind::Step,
             Kind::Trajectory => RunKind::Trajectory,
             Kind::Sweep => RunKind::Sweep,
+            Kind::Whisk => RunKind::Whisk,
         };
         Self {
             kind,
@@ -89,6 +92,7 @@ impl Job {
             accept_margin: false,
             hand: None,
             stepped: false,
+            whisk: experiment.whisk,
             and_back: true,
             live: None,
             stop: Arc::default(),
@@ -315,6 +319,8 @@ fn document<B: Bench>(bench: &mut B, rig: &Rig, job: &Job, repetition: Option<Re
     start.seed = rig.is_simulated().then_some(rig.bench.seed);
     start.repetition = repetition;
     start.program = Some((*job.program).clone());
+    start.whisk = job.whisk.as_ref().map(WhiskDocument::of);
+    start.module = ModuleDocument::of(rig);
     start.rig_sha256 = rig.files.first().map(|f| sha256(f.text.as_bytes())).unwrap_or_default();
     start.realtime = RealtimeDocument {
         granted: bench.latest().realtime && !job.stepped,

@@ -1,17 +1,18 @@
 //! Joins tick, pump and bus owners by their slots and rings.
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use rtrb::{Producer, RingBuffer};
 use triple_buffer::{Input, Output, triple_buffer};
 
 use super::tick::{Switches, Tick};
 use super::{DaemonError, Pump};
-use crate::config::Rig;
+use crate::clock::Clock;
+use crate::config::{Cache, Rig};
 use crate::control::{Controller, Request};
 use crate::hardware::I2cPorts;
 use crate::signal::{Command, ImuSample, MAX_FREES, PressureSample};
-use crate::sim::Plant;
+use crate::sim::{Plant, SimRig};
 
 /// Records that the ring holds: 8 s at 500 Hz, so that a stall of the recorder loses none.
 const RECORDS: usize = 4096;
@@ -36,6 +37,27 @@ pub struct Joints {
     pub serial: Vec<(Output<Command>, Vec<Input<PressureSample>>)>,
     /// For the owner of the dump valve, where one is fitted.
     pub valve: Option<Output<Command>>,
+}
+
+/// By FREE: its axis in its sensor's frame.
+pub(super) fn axes(rig: &Rig) -> Vec<[f64; 3]> {
+    rig.control.frees.iter().map(|f| f.imu.map_or([0.0, 0.0, 1.0], |imu| imu.axis)).collect()
+}
+
+/// The simulated rig of `rig` on `clock`, with the module's plate on its FREEs where it has one.
+///
+/// # Errors
+/// Where the module is none, or does not stand without pressure.
+pub fn simulated(rig: &Rig, clock: &Clock) -> Result<SimRig, DaemonError> {
+    let sim = SimRig::new(&rig.bench, &rig.wiring, &axes(rig), clock);
+    if let Some(module) = &rig.bench.module {
+        let cache = Cache::usual();
+        let plate = module
+            .plate(&rig.bench, rig.highest_pressure(), |request| cache.section_law(request))
+            .map_err(|error| DaemonError::Rig(format!("the simulated module: {error}")))?;
+        sim.plant().lock().unwrap_or_else(PoisonError::into_inner).mount(module.frees.to_vec(), plate);
+    }
+    Ok(sim)
 }
 
 /// Makes the joints of `rig`; `plant` is the simulated one, asked for the truth; `switches` brings the emergency

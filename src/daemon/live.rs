@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use rtrb::Producer;
 
-use super::join::{Joints, join};
-use super::stepped::{Profiles, axes, detached, lock, note_profiles};
+use super::join::{Joints, join, simulated};
+use super::stepped::{Profiles, detached, lock, note_profiles};
 use super::tick::Switches;
 use super::{Bench, DaemonError, Pump};
 use crate::clock::{Clock, Time};
@@ -78,7 +78,7 @@ impl Live {
     /// the owner's business, and the rig does not leave Boot.
     pub fn start(rig: &Rig, switches: Switches) -> Result<Self, DaemonError> {
         let clock = Clock::Live;
-        let sim = rig.is_simulated().then(|| SimRig::new(&rig.bench, &rig.wiring, &axes(rig), &clock));
+        let sim = rig.is_simulated().then(|| simulated(rig, &clock)).transpose()?;
         let joints = join(rig, sim.as_ref().map(SimRig::plant), switches)?;
         let Joints { mut tick, pump, requests, switches, i2c, serial, valve } = joints;
         let timeout = rig.wiring.command_timeout;

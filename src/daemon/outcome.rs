@@ -1,6 +1,6 @@
 //! What came of a run, as the socket, `--json` and the commands say it.
 
-use super::api::{FreeResult, RunResult};
+use super::api::{FreeResult, RunResult, TipResult};
 use crate::record::{Metrics, RecordError, Run};
 
 impl RunResult {
@@ -25,6 +25,12 @@ impl RunResult {
             outcome: run.result_name().to_owned(),
             reason: run.stop().map(|stop| stop.message.clone()).filter(|message| !message.is_empty()),
             frees: frees.collect(),
+            tip: metrics.tip.map(|tip| TipResult {
+                rms_error_m: tip.estimated.rms,
+                peak_error_m: tip.estimated.peak,
+                true_rms_error_m: tip.truth.map(|t| t.rms),
+                true_peak_error_m: tip.truth.map(|t| t.peak),
+            }),
         })
     }
 }

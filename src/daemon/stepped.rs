@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use rtrb::Producer;
 
-use super::join::{Joints, join};
+use super::join::{Joints, join, simulated};
 use super::tick::{Switches, Tick};
 use super::{Bench, DaemonError, Pump};
 use crate::clock::{Stepper, Time};
@@ -81,7 +81,7 @@ impl Stepped {
     /// If the controller or an owner cannot be built.
     pub fn new(rig: &Rig) -> Result<Self, DaemonError> {
         let stepper = Stepper::new();
-        let sim = SimRig::new(&rig.bench, &rig.wiring, &axes(rig), &stepper.clock());
+        let sim = simulated(rig, &stepper.clock())?;
         let Joints { tick, pump, requests, switches, i2c, serial, valve } =
             join(rig, Some(sim.plant()), Switches::default())?;
         let timeout = rig.wiring.command_timeout;
@@ -241,11 +241,6 @@ pub(super) fn note_profiles<I: embedded_hal::i2c::I2c>(profiles: &mut Profiles, 
     for (frees, desk) in owner.profiles() {
         profiles.extend(frees.iter().map(|&free| (free, Arc::clone(desk))));
     }
-}
-
-/// By FREE: its axis in its sensor's frame.
-pub(super) fn axes(rig: &Rig) -> Vec<[f64; 3]> {
-    rig.control.frees.iter().map(|f| f.imu.map_or([0.0, 0.0, 1.0], |imu| imu.axis)).collect()
 }
 
 /// The recorder, or the error that ended the recording.

@@ -1,3 +1,4 @@
 //! What to command, and what to build.
 
 pub mod design;
+pub mod observer;

@@ -318,7 +318,7 @@ fn primary<'a>(run: &Run, all: &'a [Signals]) -> Option<&'a Signals> {
 
 fn row(run: &Run, all: &[Signals], signals: &Signals) -> Result<Row> {
     let predictions: Vec<_> = all.iter().map(prediction::dynamic).collect();
-    let metrics = Metrics::from(run, all, &predictions)?;
+    let metrics = Metrics::from(run, all, &predictions, None)?;
     let free: Option<&FreeMetrics> = metrics.frees.iter().find(|f| f.free == signals.name);
     let start = run.start();
     Ok(Row {

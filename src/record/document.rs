@@ -7,6 +7,7 @@
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use super::module::{ModuleDocument, WhiskDocument};
 use super::tube::TubeDocument;
 use crate::control::{ControlConfig, ControllerKind, DerivativeOn, FreeControl, Gains, Limits};
 use crate::model::{ELEMENTS, Free, Hysteresis};
@@ -144,6 +145,12 @@ pub struct StartDocument {
     /// What was asked; by hand there is no program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub program: Option<Program>,
+    /// The plan of a whisk.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub whisk: Option<WhiskDocument>,
+    /// Four of the FREEs under one plate, where the rig has that.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub module: Option<ModuleDocument>,
     /// The FREEs under control, in the order of rig.toml.
     pub frees: Vec<FreeDocument>,
 }

@@ -2,9 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use nalgebra::Vector3;
+
 use super::columns::{column_name, limit_names, state_of};
 use super::document::FaultDocument;
 use super::metrics::ways;
+use super::module::TipPath;
 use super::plot::{Band, Bars, Lane, Lanes, Line, Plot, state_color};
 use super::prediction;
 use super::run::Run;
@@ -117,6 +120,56 @@ pub fn sweep(signals: &Signals) -> Plot {
         lines.push(Line::new("finite elements, long FREE", palette::PURPLE, &psi(&pressure), per_mm).dashed());
     }
     Plot { x_label: "pressure [psi]".into(), y_label: "twist [deg/mm]".into(), height: 420, lines, ..Plot::default() }
+}
+
+/// Ways of a module's plate that are known: what they are, their colours, the points.
+fn ways_of(path: &TipPath) -> impl Iterator<Item = (&'static str, u32, &[Option<Vector3<f64>>])> {
+    let all: [(_, _, &[_]); 4] = [
+        ("planned", palette::GREY, &path.planned),
+        ("predicted", palette::ORANGE, &path.predicted),
+        ("true (SIMULATED)", palette::GREEN, &path.truth),
+        ("estimated", palette::BLUE, &path.estimated),
+    ];
+    all.into_iter().filter(|(.., points)| points.iter().any(Option::is_some))
+}
+
+/// One coordinate of a way, mm; not a number where it is not known.
+fn millimetres(points: &[Option<Vector3<f64>>], axis: usize) -> Vec<f64> {
+    points.iter().map(|p| p.map_or(f64::NAN, |p| 1e3 * p[axis])).collect()
+}
+
+/// The way of a module's plate as seen along its axis.
+pub fn tip_from_above(path: &TipPath) -> Plot {
+    let lines = ways_of(path).map(|(label, rgb, points)| {
+        Line::new(label, rgb, &millimetres(points, 0), millimetres(points, 1)).width(if label == "planned" {
+            3
+        } else {
+            1
+        })
+    });
+    Plot {
+        x_label: "x [mm]".into(),
+        y_label: "y [mm]".into(),
+        height: 520,
+        square: true,
+        lines: lines.collect(),
+        ..Plot::default()
+    }
+}
+
+/// The same, coordinate by coordinate.
+pub fn tip_over_time(path: &TipPath) -> Plot {
+    let rest = path.truth.iter().chain(&path.estimated).flatten().next().map_or(0.0, |p| 1e3 * p.z);
+    let lines = ways_of(path).flat_map(|(label, rgb, points)| {
+        let name = |axis: &str| format!("{axis}, {label}");
+        let z = millimetres(points, 2).into_iter().map(|z| z - rest).collect();
+        [
+            Line::new(&name("x"), rgb, &path.t, millimetres(points, 0)).width(1),
+            Line::new(&name("y"), rgb, &path.t, millimetres(points, 1)).width(1).dashed(),
+            Line::new(&name("z from the beginning"), rgb, &path.t, z).width(3),
+        ]
+    });
+    Plot { x_label: TIME.into(), y_label: "centre [mm]".into(), height: 380, lines: lines.collect(), ..Plot::default() }
 }
 
 /// Several runs of the same experiment: mean of their angles with one standard deviation either way, and how far

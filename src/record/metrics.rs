@@ -19,6 +19,7 @@ use serde::Serialize;
 
 use super::Result;
 use super::document::ErrorDocument;
+use super::module::{Apart, TipPath};
 use super::prediction;
 use super::run::Run;
 use super::signals::{Signals, interpolate};
@@ -48,6 +49,17 @@ pub struct Metrics {
     pub deadline_misses: u64,
     /// By FREE.
     pub frees: Vec<FreeMetrics>,
+    /// How far a module's plate was from where it was wanted.
+    pub tip: Option<TipMetrics>,
+}
+
+/// How far the centre of a module's plate was from its plan, m.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct TipMetrics {
+    /// The estimated centre.
+    pub estimated: Apart,
+    /// The true one of the simulated rig.
+    pub truth: Option<Apart>,
 }
 
 /// Figures of one FREE.
@@ -119,7 +131,7 @@ impl Metrics {
     pub fn of(run: &Run) -> Result<Self> {
         let signals = Signals::load_all(run)?;
         let predictions: Vec<_> = signals.iter().map(prediction::dynamic).collect();
-        Self::from(run, &signals, &predictions)
+        Self::from(run, &signals, &predictions, TipPath::of(run)?.as_ref())
     }
 
     /// The same from signals and predictions that have been made already.
@@ -127,6 +139,7 @@ impl Metrics {
         run: &Run,
         signals: &[Signals],
         predictions: &[std::result::Result<Vec<f64>, String>],
+        tip: Option<&TipPath>,
     ) -> Result<Self> {
         let table = run.table(&["skipped".into()])?;
         let skipped = table.get("skipped");
@@ -138,7 +151,16 @@ impl Metrics {
             records: table.len() as u64,
             deadline_misses: misses.max(0.0) as u64,
             frees: signals.iter().zip(predictions).map(|(s, p)| FreeMetrics::of(s, p)).collect(),
+            tip: tip.and_then(TipMetrics::of),
         })
+    }
+}
+
+impl TipMetrics {
+    /// Of what is known of `path`; none where nothing was wanted or estimated.
+    fn of(path: &TipPath) -> Option<TipMetrics> {
+        let estimated = Apart::between(&path.estimated, path.wanted())?;
+        Some(TipMetrics { estimated, truth: Apart::between(&path.truth, path.wanted()) })
     }
 }
 

@@ -77,12 +77,24 @@ pub struct Plot {
     pub x_range: Option<(f64, f64)>,
     /// Height, pixels.
     pub height: u32,
+    /// The same scale on both axes, as a map has it: the ranges are what the lines need, the one widened.
+    pub square: bool,
     /// Behind the lines.
     pub bands: Vec<Band>,
     /// Drawn in this order.
     pub lines: Vec<Line>,
     /// Moments to be noticed: where, colour, text.
     pub marks: Vec<(f64, u32, String)>,
+}
+
+/// `x` and `y` widened about their middles until `x` is `aspect` times as long as `y`.
+fn alike(x: Range<f64>, y: Range<f64>, aspect: f64) -> (Range<f64>, Range<f64>) {
+    let widened = |range: Range<f64>, length: f64| {
+        let middle = 0.5 * (range.start + range.end);
+        middle - 0.5 * length..middle + 0.5 * length
+    };
+    let scale = ((x.end - x.start) / aspect).max(y.end - y.start);
+    (widened(x, scale * aspect), widened(y, scale))
 }
 
 impl Plot {
@@ -104,6 +116,8 @@ impl Plot {
         let mut values: Vec<f64> = lines.iter().flat_map(within).collect();
         values.extend(self.bands.iter().flat_map(|b| b.low.iter().chain(&b.high)));
         let y = span(values.iter(), 0.06);
+        let (x, y) =
+            if self.square { alike(x, y, f64::from(WIDTH - LEFT - 16) / f64::from(self.height - 76)) } else { (x, y) };
         let mut svg = String::new();
         let names = self.bands.iter().map(|b| &b.label).chain(lines.iter().map(|l| &l.label));
         let legend_height = LEGEND_ROW * (legend_rows(names).max(1) as u32) + 8;

@@ -9,6 +9,9 @@ use crate::model::{Kinematics, Law, Load, Lumped, response};
 /// The measured pressure counts at the times of its own readings, linear between them; a FREE whose regulator
 /// measures none is given the command.
 pub fn dynamic(signals: &Signals) -> Result<Vec<f64>, String> {
+    if signals.in_module {
+        return Err("its end is on a module's plate, which the lumped model does not know".into());
+    }
     let free = signals.free.ok_or("the run does not say what the FREE is")?;
     let measured = signals.pressure.iter().any(|p| p.is_finite());
     let (times, pressures) =

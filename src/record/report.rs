@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use super::document::{RunKind, StartDocument, StopDocument};
 use super::html::{Page, degrees, escape, prose};
-use super::metrics::{ErrorMetrics, FreeMetrics, Metrics};
+use super::metrics::{ErrorMetrics, FreeMetrics, Metrics, TipMetrics};
+use super::module::TipPath;
 use super::plot::Plot;
 use super::run::{REPORT_NAME, Run, write_atomically};
 use super::signals::Signals;
@@ -30,7 +31,8 @@ pub fn html(run: &Run) -> Result<String> {
     let start = run.start();
     let signals = Signals::load_all(run)?;
     let predictions: Vec<_> = signals.iter().map(prediction::dynamic).collect();
-    let metrics = Metrics::from(run, &signals, &predictions)?;
+    let tip = TipPath::of(run)?;
+    let metrics = Metrics::from(run, &signals, &predictions, tip.as_ref())?;
 
     let title = heading(start);
     let mut page = Page::new(&title);
@@ -52,6 +54,9 @@ pub fn html(run: &Run) -> Result<String> {
     }
     page.raw("</header><main>");
 
+    if let Some(path) = &tip {
+        tip_section(&mut page, path, metrics.tip, start.simulated())?;
+    }
     for ((signals, prediction), metrics) in signals.iter().zip(&predictions).zip(&metrics.frees) {
         free_section(&mut page, run, signals, prediction, metrics)?;
     }
@@ -94,6 +99,25 @@ fn ending(stop: &StopDocument, signals: &[Signals]) -> String {
     format!("{}{}", stop.message, seen.unwrap_or_default())
 }
 
+/// The way of a module's plate.
+fn tip_section(page: &mut Page, path: &TipPath, metrics: Option<TipMetrics>, simulated: bool) -> Result<()> {
+    page.raw("<section><h2>Plate</h2><div class=\"cards\">");
+    let mm = |m: f64| format!("{:.3} mm", 1e3 * m);
+    if let Some(TipMetrics { estimated, truth }) = metrics {
+        page.card("RMS error, estimated", &mm(estimated.rms));
+        page.card("peak error, estimated", &mm(estimated.peak));
+        if let Some(truth) = truth.filter(|_| simulated) {
+            page.card("RMS error, true (SIMULATED)", &mm(truth.rms));
+            page.card("peak error, true (SIMULATED)", &mm(truth.peak));
+        }
+    }
+    page.raw("</div>");
+    page.figure("Way of the plate's centre, from above", &figures::tip_from_above(path).svg()?);
+    page.figure("The same over time", &figures::tip_over_time(path).svg()?);
+    page.raw("</section>");
+    Ok(())
+}
+
 fn free_section(
     page: &mut Page,
     run: &Run,
@@ -108,7 +132,7 @@ fn free_section(
     if let Some(reason) = &metrics.model_refusal {
         page.raw(&format!("<p class=\"warning\">No comparison with the model: {}</p>", escape(reason)));
     }
-    if signals.quantity == Quantity::Pressure {
+    if signals.quantity == Quantity::Pressure && !signals.in_module {
         page.figure("Twist against pressure", &figures::sweep(signals).svg()?);
     }
     let marked = |plot: Plot| Plot { marks: figures::marks(run, signals), ..plot }.svg();

@@ -4,7 +4,7 @@
 use std::ops::Range;
 
 use super::columns::column_name;
-use super::document::RunResult;
+use super::document::{RunResult, StartDocument};
 use super::run::Run;
 use super::tube::TubeDocument;
 use super::{RecordError, Result};
@@ -23,6 +23,8 @@ pub struct Signals {
     pub free: Option<Free>,
     /// Its hysteresis, as far as it is known.
     pub hysteresis: Hysteresis,
+    /// Whether its end is on a module's plate.
+    pub in_module: bool,
     /// Its tube as finite elements see it.
     pub tube: Option<TubeDocument>,
     /// Time since the program's start, s; negative before it.
@@ -112,6 +114,7 @@ impl Signals {
             name: name.into(),
             free: document.map(|f| f.model.into()),
             hysteresis: document.and_then(|f| f.hysteresis).map(Hysteresis::from).unwrap_or_default(),
+            in_module: in_module(run.start(), name),
             tube: document.and_then(|f| f.tube),
             t: t.iter().map(|t| t - zero).collect(),
             reference: get("reference_rad"),
@@ -176,4 +179,9 @@ pub fn interpolate(x: &[f64], y: &[f64], at: f64) -> f64 {
         (i, n) if i >= n => y[n - 1],
         (i, _) => y[i - 1] + (y[i] - y[i - 1]) * (at - x[i - 1]) / (x[i] - x[i - 1]),
     }
+}
+
+fn in_module(start: &StartDocument, name: &str) -> bool {
+    let index = start.frees.iter().position(|free| free.name == name);
+    start.module.as_ref().zip(index).is_some_and(|(module, index)| module.frees.contains(&index))
 }

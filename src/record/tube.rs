@@ -41,11 +41,9 @@ impl TubeDocument {
         })
     }
 
-    /// Twist of the long free tube by the section at equally spaced pressures from 0 to `highest` (Pa): (pressure,
-    /// twist), Pa and rad/m, as far as there is an equilibrium.
-    pub fn free_twist(&self, highest: f64) -> (Vec<f64>, Vec<f64>) {
-        const POINTS: usize = 24;
-        let tube = Tube {
+    /// The tube.
+    pub fn tube(&self) -> Tube {
+        Tube {
             inner_radius: self.inner_radius_m,
             wall: self.wall_m,
             gamma: self.gamma_rad,
@@ -53,9 +51,16 @@ impl TubeDocument {
             fiber_ea: self.fiber_ea_n,
             fiber_width: self.fiber_width_m,
             law: Law::Ogden { mu: self.shear_modulus_pa, alpha: self.ogden_exponent },
-        };
+        }
+    }
+
+    /// Twist of the long free tube by the section at equally spaced pressures from 0 to `highest` (Pa): (pressure,
+    /// twist), Pa and rad/m, as far as there is an equilibrium.
+    pub fn free_twist(&self, highest: f64) -> (Vec<f64>, Vec<f64>) {
+        const POINTS: usize = 24;
         let pressures: Vec<f64> = (0..=POINTS).map(|i| highest * i as f64 / POINTS as f64).collect();
-        let points = Section::new(&tube, Mesh::default()).and_then(|section| section.curve(&pressures, Ends::FREE));
+        let points =
+            Section::new(&self.tube(), Mesh::default()).and_then(|section| section.curve(&pressures, Ends::FREE));
         points.unwrap_or_default().into_iter().map_while(Result::ok).map(|rest| (rest.pressure, rest.twist)).unzip()
     }
 }

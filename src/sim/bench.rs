@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use super::ModuleSim;
 use crate::model::Free;
 
 /// The whole simulated rig.
@@ -11,6 +12,8 @@ pub struct BenchConfig {
     pub seed: u64,
     /// By FREE, in the order of rig.toml.
     pub plants: Vec<PlantSim>,
+    /// Four FREEs under one plate, where there are.
+    pub module: Option<ModuleSim>,
     /// The IMUs.
     pub imu: ImuSim,
     /// Whether a dump valve is fitted.

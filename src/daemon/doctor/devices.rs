@@ -8,7 +8,7 @@ use embedded_hal::i2c::I2c;
 use super::{Finding, Treatment};
 use crate::clock::Clock;
 use crate::config::Rig;
-use crate::daemon::stepped::axes;
+use crate::daemon::join::axes;
 use crate::hardware::alicat::Unit;
 use crate::hardware::bno055::Bno055;
 use crate::hardware::mcp4728::Mcp4728;

@@ -1,0 +1,319 @@
+//! `freerig plan whisk`: the pressures of a module over one period of its whisk, as a file for `freerig whisk`.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::anyhow;
+use clap::ValueEnum;
+use nalgebra::Vector3;
+use serde::Serialize;
+
+use crate::cli::{Context, Failure};
+use crate::config::{Cache, Rig, Whisk, atomic};
+use crate::fem::module::{Layout, ModuleScene};
+use crate::fem::rod::Resolution;
+use crate::fem::section::Mesh;
+use crate::plan::whisk::{Eight, Order, Pattern, Scaled, WhiskPlan, eight, pattern};
+use crate::plan::{Limits, PlanError, Rest};
+use crate::record::whisk_sheet;
+use crate::units::{Frequency, Length, Percent, Pressure, PressureRate};
+
+/// Distance of neighbouring axes of a module that no rig describes, m.
+const SPACING: f64 = 0.02;
+/// The share of the highest pressure in whose middle an eight crosses itself.
+const MIDDLE: f64 = 0.4;
+/// Periods that the file asks for.
+const PERIODS: u32 = 3;
+/// From zero to the first pressures, s.
+const LEAD: f64 = 2.0;
+
+const EXAMPLES: &str = "\
+The module is the rig's; where it has none, four FREEs of the rig's first one, RLRL, 20 mm apart. `eight` is a figure of
+the plate's centre, whose pressures the inverse model finds; `paper` is the published pattern of pressures, between 2 and
+10 psi, and `round` the same in another order, which draws a circle and no eight. What lies past a limit of the module is
+said to, and the largest whisk of its kind that does not is written in its place.
+
+Examples:
+  freerig plan whisk                                     an eight of 8 mm by 3 mm, a quarter of it a second
+  freerig plan whisk --width 6mm --height 2mm --frequency 0.5Hz --output small.toml
+  freerig plan whisk --pattern paper --middle 5psi
+  freerig plan whisk --pattern round --lowest 2psi --highest 6psi";
+
+/// What `freerig plan whisk` takes.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Args {
+    /// What is whisked
+    #[arg(long, default_value = "eight")]
+    pattern: Kind,
+    /// Extent of the eight along x
+    #[arg(long, default_value = "8mm")]
+    width: Length,
+    /// Extent of the eight along y
+    #[arg(long, default_value = "3mm")]
+    height: Length,
+    /// Where the eight crosses itself: from the middle of the bases; by default where the plate is with all pressures
+    /// at 40 % of the highest
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_hyphen_values = true)]
+    centre: Vec<Length>,
+    /// Eights a second
+    #[arg(long, default_value = "0.25Hz")]
+    frequency: Frequency,
+    /// Lowest pressure of a pattern
+    #[arg(long, default_value = "2psi")]
+    lowest: Pressure,
+    /// Highest pressure of a pattern
+    #[arg(long, default_value = "10psi")]
+    highest: Pressure,
+    /// Pressure in between, of two FREEs whenever one is highest and one lowest; by default the mean: a sinusoid
+    #[arg(long)]
+    middle: Option<Pressure>,
+    /// Highest pressure that may be commanded; by default the rig's
+    #[arg(long)]
+    max_pressure: Option<Pressure>,
+    /// Least margin: the share of the stiffness and the clearance at rest that must be left
+    #[arg(long, default_value = "10%")]
+    margin: Percent,
+    /// Pressures a second
+    #[arg(long, default_value = "100Hz")]
+    rate: Frequency,
+    /// The file to write
+    #[arg(long, value_name = "FILE", default_value = "whisk.toml")]
+    output: PathBuf,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum Kind {
+    /// A figure eight of the plate's centre
+    Eight,
+    /// The published pattern, crossing the square: A, B, D, C
+    Paper,
+    /// The same round the square: A, B, C, D
+    Round,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    pattern: &'static str,
+    /// Whether all of what was asked is a stable motion within the limits.
+    valid: bool,
+    /// Why not.
+    reason: Option<String>,
+    /// What the file holds in its place: the scale of what was asked, 0 to 1.
+    scale: Option<f64>,
+    period_s: f64,
+    samples: usize,
+    /// Of what the file holds.
+    length_m: Option<f64>,
+    width_m: Option<f64>,
+    twist_rad: Option<[f64; 2]>,
+    enclosed_area_m2: Option<f64>,
+    worst_error_m: Option<f64>,
+    rms_error_m: Option<f64>,
+    discretisation_error_m: Option<f64>,
+    least_margin: Option<f64>,
+    least_margin_s: Option<f64>,
+    highest_pressure_pa: f64,
+    fastest_pa_per_s: f64,
+    clipped_samples: usize,
+    planning_s: f64,
+    file: Option<String>,
+    report: String,
+}
+
+/// Plans a whisk and writes its file and its page.
+pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
+    let rig = Rig::load(&context.rig)?;
+    let scene = scene(&rig)?;
+    let frees = || {
+        (rig.control.frees.iter().enumerate()).filter(|(i, _)| rig.module.as_ref().is_none_or(|m| m.frees.contains(i)))
+    };
+    let own =
+        |of: &dyn Fn(&crate::control::Limits) -> f64| frees().map(|(_, f)| of(&f.limits)).fold(f64::INFINITY, f64::min);
+    let highest = args.max_pressure.map_or(own(&|l| l.pressure_max), Pressure::si);
+    if !(highest > 0.0) {
+        return Err(Failure::usage(anyhow!("--max-pressure {:.3} must be positive", Pressure::pascals(highest))));
+    }
+    let cache = Cache::usual();
+    context.note("the FREEs' laws: some seconds the first time");
+    let wanted = highest.max(if args.pattern == Kind::Eight { 0.0 } else { args.highest.si() });
+    let module = scene
+        .module(Mesh::default(), wanted, Resolution::DEFAULT, |request| cache.section_law(request))
+        .map_err(|error| Failure::usage(error).remedy("correct [module] and the calibrations of its FREEs"))?;
+    let rest = Rest::new(&module, &scene.loads([0.0; 4])).map_err(Failure::usage)?;
+    let limits = Limits { slew: own(&|l| l.slew), margin: args.margin.si(), ..Limits::up_to(highest) };
+    let begun = Instant::now();
+    let planned = args.plan(&rest, &limits).map_err(|error| {
+        Failure::usage(error).remedy("`freerig plan whisk --help` lists the flags, their units and examples")
+    })?;
+    let planning_s = begun.elapsed().as_secs_f64();
+    // What is run is what is valid.
+    let (plan, figure, scale) = match &planned.instead {
+        Some(instead) => (&instead.plan, &instead.figure, Some((instead.scaled, instead.scale))),
+        None => (&planned.plan, &planned.figure, None),
+    };
+    std::fs::create_dir_all(&rig.record.directory)?;
+    let page = rig.record.directory.join(format!("plan-whisk-{}.html", args.pattern.name()));
+    let asked_whole = planned.instead.is_none() && planned.plan.valid() && planned.plan.facts.missed == 0;
+    let mut report = Report {
+        pattern: args.pattern.name(),
+        valid: asked_whole,
+        reason: (!asked_whole).then(|| reason(&planned)),
+        scale: scale.map(|s| s.1),
+        period_s: planned.period,
+        samples: plan.times.len(),
+        length_m: figure.as_ref().map(|f| f.length),
+        width_m: figure.as_ref().map(|f| f.width),
+        twist_rad: figure.as_ref().map(|f| f.twist),
+        enclosed_area_m2: figure.as_ref().map(|f| f.area),
+        worst_error_m: plan.facts.worst_error,
+        rms_error_m: plan.facts.rms_error,
+        discretisation_error_m: plan.facts.discretisation,
+        least_margin: plan.facts.least_margin.map(|m| m.0),
+        least_margin_s: plan.facts.least_margin.map(|m| m.1),
+        highest_pressure_pa: plan.pressures.iter().flatten().copied().fold(0.0, f64::max),
+        fastest_pa_per_s: plan.facts.fastest,
+        clipped_samples: plan.clipped.iter().filter(|c| c.iter().any(Option::is_some)).count(),
+        planning_s,
+        file: None,
+        report: page.display().to_string(),
+    };
+    if plan.valid() {
+        let file = Whisk {
+            name: args.pattern.name().into(),
+            periods: PERIODS,
+            lead: LEAD,
+            times: plan.times.clone(),
+            pressures: plan.pressures.clone(),
+            planned: plan.planned.iter().map(|p| p.position).collect(),
+            predicted: plan.predicted.iter().map(|p| p.position).collect(),
+        };
+        atomic::write(&args.output, file.to_toml(&report.remarks(scale.map(|s| s.0))).as_bytes())?;
+        report.file = Some(args.output.display().to_string());
+    }
+    whisk_sheet(&format!("Whisk: {}", args.pattern.name()), plan, report.facts(scale.map(|s| s.0))).write(&page)?;
+    if context.json { context.print_json(&report) } else { context.print(report.text(scale.map(|s| s.0))) }
+}
+
+/// The rig's module, or four of its first FREE.
+fn scene(rig: &Rig) -> Result<ModuleScene, Failure> {
+    if let Some(scene) = rig.module_scene() {
+        return Ok(scene);
+    }
+    let first = rig.calibrations.first().ok_or_else(|| Failure::usage(anyhow!("the rig has no FREE")))?;
+    Ok(ModuleScene::new(&first.tube().0, first.free().length, Layout::RLRL, SPACING))
+}
+
+impl Kind {
+    fn name(self) -> &'static str {
+        match self {
+            Kind::Eight => "eight",
+            Kind::Paper => "paper",
+            Kind::Round => "round",
+        }
+    }
+}
+
+impl Args {
+    fn plan(&self, rest: &Rest<'_>, limits: &Limits) -> Result<WhiskPlan, PlanError> {
+        let order = match self.pattern {
+            Kind::Eight => {
+                let centre = match self.centre.as_slice() {
+                    &[x, y, z] => Vector3::new(x.si(), y.si(), z.si()),
+                    // With room to go either way.
+                    _ => middle(rest, limits)?,
+                };
+                let figure = Eight::level(centre, self.width.si(), self.height.si(), self.frequency.si());
+                return eight(rest, &figure, limits, self.rate.si());
+            }
+            Kind::Paper => Order::Crossing,
+            Kind::Round => Order::Round,
+        };
+        let (lowest, highest) = (self.lowest.si(), self.highest.si());
+        let middle = self.middle.map_or(0.5 * (lowest + highest), Pressure::si);
+        pattern(rest, &Pattern { lowest, highest, middle, period: 4.0, order }, limits, self.rate.si())
+    }
+}
+
+/// Where the plate is with every pressure at the share [`MIDDLE`] of its highest.
+fn middle(rest: &Rest<'_>, limits: &Limits) -> Result<Vector3<f64>, PlanError> {
+    let state = rest.ramp(rest.state(), &limits.high.map(|p| MIDDLE * p));
+    Ok(state.map_err(|ended| PlanError::NoStart(ended.end))?.position())
+}
+
+/// Why what was asked is not all there.
+fn reason(planned: &WhiskPlan) -> String {
+    let facts = &planned.plan.facts;
+    let psi = |p: &[f64; 4]| p.map(|p| format!("{:.2}", Pressure::pascals(p).display_value())).join(", ");
+    match (&facts.ramp, &facts.ended, &facts.shortfall) {
+        (Some(ramp), ..) if planned.plan.predicted.is_empty() => {
+            format!(
+                "on the way from rest to its first pressures the module {} (at {} psi)",
+                ramp.end,
+                psi(&ramp.pressures)
+            )
+        }
+        (_, Some((t, ended)), _) => format!("at {t:.2} s the module {} (at {} psi)", ended.end, psi(&ended.pressures)),
+        (_, _, Some(shortfall)) => format!("{} samples fall short of the eight: {shortfall}", facts.missed),
+        _ => "its margin is below the least one".into(),
+    }
+}
+
+impl Report {
+    fn facts(&self, scaled: Option<Scaled>) -> Vec<(String, String)> {
+        let mm = |m: Option<f64>, digits: usize| m.map_or("-".into(), |m| format!("{:.digits$} mm", 1e3 * m));
+        let mut facts: Vec<(String, String)> = Vec::new();
+        let mut fact = |name: &str, value: String| facts.push((name.into(), value));
+        if let Some(reason) = &self.reason {
+            fact("not possible as asked", reason.clone());
+        }
+        if let (Some(scaled), Some(scale)) = (scaled, self.scale) {
+            let what = match scaled {
+                Scaled::Swing => "the swing of the pressures",
+                Scaled::Pressures => "all pressures",
+                Scaled::Size => "width and height",
+            };
+            fact("in its place", format!("{what} times {scale:.3}"));
+        }
+        fact("figure", format!("{} long, {} wide", mm(self.length_m, 2), mm(self.width_m, 2)));
+        if let Some([low, high]) = self.twist_rad {
+            fact("plate turns", format!("from {:.1} to {:.1} deg", low.to_degrees(), high.to_degrees()));
+        }
+        if self.worst_error_m.is_some() {
+            fact("off the figure", format!("RMS {}, worst {}", mm(self.rms_error_m, 3), mm(self.worst_error_m, 3)));
+        }
+        fact("discretisation error, estimated", mm(self.discretisation_error_m, 4));
+        if let (Some(least), Some(at)) = (self.least_margin, self.least_margin_s) {
+            fact("least margin", format!("{:.0} % of what there is at rest, at {at:.2} s", 100.0 * least));
+        }
+        let (highest, fastest) =
+            (Pressure::pascals(self.highest_pressure_pa), PressureRate::pascals_per_second(self.fastest_pa_per_s));
+        fact("pressures", format!("up to {highest:.2}, changing by up to {fastest:.2}"));
+        if self.clipped_samples > 0 {
+            fact("clipped", format!("{} of {} samples", self.clipped_samples, self.samples));
+        }
+        fact("planned", format!("{} samples of {:.2} s in {:.2} s", self.samples, self.period_s, self.planning_s));
+        facts
+    }
+
+    /// What stands at the head of the file.
+    fn remarks(&self, scaled: Option<Scaled>) -> Vec<String> {
+        let facts = self.facts(scaled).into_iter().filter(|(name, _)| name != "planned");
+        let mut remarks = vec!["Made by `freerig plan whisk`; run it with `freerig whisk`.".into()];
+        remarks.extend(facts.map(|(name, value)| format!("{name}: {value}")));
+        remarks
+    }
+
+    fn text(&self, scaled: Option<Scaled>) -> String {
+        let mut text = format!("whisk: {}\n", self.pattern);
+        for (name, value) in self.facts(scaled) {
+            text.push_str(&format!("\n{name}: {value}"));
+        }
+        match &self.file {
+            Some(file) => text.push_str(&format!("\nplan: {file}")),
+            None => text.push_str("\nno plan written: there is no stable one of its kind"),
+        }
+        text.push_str(&format!("\npage: {}", self.report));
+        text
+    }
+}

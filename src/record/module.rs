@@ -1,0 +1,246 @@
+//! The module and the whisk in a run's start document, and the way of the plate in a run: wanted, predicted, estimated
+//! and, simulated, true.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::Result;
+use super::columns::column_name;
+use super::document::StartDocument;
+use super::run::Run;
+use super::signals::interpolate;
+use super::tube::TubeDocument;
+use crate::config::{Cache, Rig, Whisk};
+use crate::fem::module::{Free, Module, ModuleScene, State};
+use crate::fem::rod::Resolution;
+use crate::fem::section::Mesh;
+use crate::plan::Rest;
+use crate::plan::observer::{Unknown, tip};
+
+/// Columns of the first FREE that tell the plate's orientation, and what it really is.
+const TARE: [&str; 4] = ["tare_qw", "tare_qx", "tare_qy", "tare_qz"];
+const NOW: [&str; 4] = ["imu_qw", "imu_qx", "imu_qy", "imu_qz"];
+const TRUTH: [&str; 3] = ["true_x_m", "true_y_m", "true_z_m"];
+/// Time between two estimates of the way, s.
+const STEP: f64 = 0.02;
+
+/// Four FREEs under one plate.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ModuleDocument {
+    /// Which of the run's FREEs are A, B, C, D.
+    pub frees: [usize; 4],
+    pub lengths_m: [f64; 4],
+    pub tubes: Vec<TubeDocument>,
+    pub spacing_m: f64,
+    pub plate_mass_kg: f64,
+    pub gravity_m_s2: [f64; 3],
+    /// The plate's normal in its sensor's frame.
+    pub imu_axis: [f64; 3],
+    /// Highest pressure that its laws are to reach.
+    pub highest_pressure_pa: f64,
+}
+
+impl ModuleDocument {
+    /// The document of the module of `rig`; none where it has none, or rubber that is not Ogden's.
+    pub fn of(rig: &Rig) -> Option<ModuleDocument> {
+        let (scene, frees) = (rig.module_scene()?, rig.module.as_ref()?.frees);
+        let imu = rig.control.frees.get(frees[0]).and_then(|free| free.imu);
+        Some(ModuleDocument {
+            frees,
+            imu_axis: imu.map_or([0.0, 0.0, 1.0], |imu| imu.axis),
+            lengths_m: scene.frees.map(|free| free.length),
+            tubes: scene.frees.iter().map(|free| TubeDocument::of(&free.tube)).collect::<Option<_>>()?,
+            spacing_m: scene.spacing,
+            plate_mass_kg: scene.plate_mass,
+            gravity_m_s2: scene.gravity.into(),
+            highest_pressure_pa: rig.highest_pressure(),
+        })
+    }
+
+    /// The module; none where the document has lost a tube.
+    pub fn scene(&self) -> Option<ModuleScene> {
+        let tubes: [TubeDocument; 4] = self.tubes.clone().try_into().ok()?;
+        let free = |i: usize| Free {
+            tube: tubes[i].tube(),
+            length: self.lengths_m[i],
+            dead_length: 0.0,
+            rest_curvature: Vector2::zeros(),
+        };
+        Some(ModuleScene {
+            frees: std::array::from_fn(free),
+            spacing: self.spacing_m,
+            plate_mass: self.plate_mass_kg,
+            force: Vector3::zeros(),
+            moment: Vector3::zeros(),
+            gravity: self.gravity_m_s2.into(),
+        })
+    }
+}
+
+impl ModuleDocument {
+    /// The module with the laws of its FREEs, and its scene; none where it has none.
+    fn module(&self) -> Option<(Module, ModuleScene)> {
+        let (scene, cache) = (self.scene()?, Cache::usual());
+        let law = |request: &_| cache.section_law(request);
+        let module = scene.module(Mesh::default(), self.highest_pressure_pa, Resolution::DEFAULT, law).ok()?;
+        Some((module, scene))
+    }
+
+    /// From the module's frame to that of its sensor at rest.
+    fn sensor(&self) -> UnitQuaternion<f64> {
+        UnitQuaternion::rotation_between(&Vector3::z(), &self.imu_axis.into())
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
+    }
+}
+
+/// The plate's centre at these pressures, Pa, and, where it is known, this rotation. `state` follows the pressures, as
+/// far as the module's branch goes.
+fn estimate(
+    rest: &Rest<'_>,
+    state: &mut State,
+    pressures: &[f64; 4],
+    rotation: Option<UnitQuaternion<f64>>,
+) -> Option<Vector3<f64>> {
+    *state = rest.onward(state, pressures).ok()?;
+    match rotation {
+        Some(rotation) => Some(tip(state, &rotation, &Unknown::default())?.position),
+        None => Some(state.position()),
+    }
+}
+
+/// A plan that was run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct WhiskDocument {
+    pub periods: u32,
+    pub lead_s: f64,
+    pub times_s: Vec<f64>,
+    #[serde(default)]
+    pub planned_m: Vec<[f64; 3]>,
+    #[serde(default)]
+    pub predicted_m: Vec<[f64; 3]>,
+}
+
+impl WhiskDocument {
+    /// The document of `whisk`.
+    pub fn of(whisk: &Whisk) -> WhiskDocument {
+        WhiskDocument {
+            periods: whisk.periods,
+            lead_s: whisk.lead,
+            times_s: whisk.times.clone(),
+            planned_m: whisk.planned.clone(),
+            predicted_m: whisk.predicted.clone(),
+        }
+    }
+
+    /// Where `points` are at the program's time `t`; none outside of the periods, and where there are no points.
+    fn at(&self, points: &[[f64; 3]], t: f64) -> Option<Vector3<f64>> {
+        let period = *self.times_s.last()?;
+        let since = t - self.lead_s;
+        if points.len() != self.times_s.len() || !(0.0..=period * f64::from(self.periods)).contains(&since) {
+            return None;
+        }
+        let phase = since.rem_euclid(period);
+        let along = |axis: usize| {
+            let column: Vec<f64> = points.iter().map(|p| p[axis]).collect();
+            interpolate(&self.times_s, &column, phase)
+        };
+        Some(Vector3::new(along(0), along(1), along(2)))
+    }
+}
+
+/// The plate's centre over a run's program, m; a point that is not known is none.
+#[derive(Clone, Debug, Default)]
+pub struct TipPath {
+    /// Time of the program, s.
+    pub t: Vec<f64>,
+    /// Where it was wanted.
+    pub planned: Vec<Option<Vector3<f64>>>,
+    /// Where the plan's model put it.
+    pub predicted: Vec<Option<Vector3<f64>>>,
+    /// From the measured pressures and the plate's rotation.
+    pub estimated: Vec<Option<Vector3<f64>>>,
+    /// Of the simulated rig.
+    pub truth: Vec<Option<Vector3<f64>>>,
+}
+
+/// How far one way is from another, m, over the times at which both are known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Apart {
+    /// Root mean square.
+    pub rms: f64,
+    /// Largest.
+    pub peak: f64,
+}
+
+impl Apart {
+    /// Of `a` and `b`; none where they have no time in common.
+    pub fn between(a: &[Option<Vector3<f64>>], b: &[Option<Vector3<f64>>]) -> Option<Apart> {
+        let apart: Vec<f64> = a.iter().zip(b).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
+        let mean = apart.iter().map(|x| x * x).sum::<f64>() / apart.len() as f64;
+        (!apart.is_empty()).then(|| Apart { rms: mean.sqrt(), peak: apart.iter().copied().fold(0.0, f64::max) })
+    }
+}
+
+impl TipPath {
+    /// What was to be followed: the plan, or what the model made of the pressures where nothing was planned.
+    pub fn wanted(&self) -> &[Option<Vector3<f64>>] {
+        if self.planned.iter().any(Option::is_some) { &self.planned } else { &self.predicted }
+    }
+
+    /// The way of the plate in `run`; none where it is no module's.
+    ///
+    /// # Errors
+    /// Where the samples cannot be read.
+    pub fn of(run: &Run) -> Result<Option<TipPath>> {
+        let start = run.start();
+        let Some(module) = &start.module else { return Ok(None) };
+        let names: Vec<&str> = module.frees.iter().filter_map(|i| Some(start.frees.get(*i)?.name.as_str())).collect();
+        let [a, ..] = names[..] else { return Ok(None) };
+        let mut columns = vec!["program_time_s".to_owned()];
+        columns
+            .extend(names.iter().flat_map(|name| [column_name(name, "pressure_pa"), column_name(name, "command_pa")]));
+        for own in TARE.into_iter().chain(NOW).chain(TRUTH) {
+            columns.push(column_name(a, own));
+        }
+        let table = run.table(&columns)?;
+        let get = |name: &str, column: &str| table.get(&column_name(name, column));
+        let times = table.get("program_time_s");
+        let mut path = TipPath::default();
+        // Without its law the module has no estimate, and the rest of the way stands.
+        let built = module.module();
+        let rest = built.as_ref().and_then(|(module, scene)| Rest::new(module, &scene.loads([0.0; 4])).ok());
+        let mut state = rest.as_ref().map(|rest| rest.state().clone());
+        let turn = module.sensor();
+        let mut next = f64::NEG_INFINITY;
+        for (row, &t) in times.iter().enumerate() {
+            if t.is_nan() || t < next {
+                continue;
+            }
+            next = t + STEP - 1e-6;
+            let value = |name: &str, column: &str| get(name, column).get(row).copied().unwrap_or(f64::NAN);
+            let known = |x: [f64; 3]| Some(Vector3::from(x)).filter(|x| x.iter().all(|x| x.is_finite()));
+            let pressure = |name: &&str| {
+                let measured = value(name, "pressure_pa");
+                if measured.is_finite() { measured } else { value(name, "command_pa") }
+            };
+            let pressures: Vec<f64> = names.iter().map(pressure).collect();
+            let quaternion = |of: [&str; 4]| {
+                let [w, x, y, z] = of.map(|column| value(a, column));
+                UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 0.5)
+            };
+            let tare = quaternion(TARE);
+            let now = quaternion(NOW);
+            // From its tare on, in its own frame at the tare: that is the module's, but for how it sits on the plate.
+            let rotation = tare.zip(now).map(|(tare, now)| turn.inverse() * (tare.inverse() * now) * turn);
+            path.t.push(t);
+            path.planned.push(start.whisk.as_ref().and_then(|w| w.at(&w.planned_m, t)));
+            path.predicted.push(start.whisk.as_ref().and_then(|w| w.at(&w.predicted_m, t)));
+            path.estimated.push(rest.as_ref().zip(state.as_mut()).and_then(|(rest, state)| {
+                let pressures: [f64; 4] = pressures.try_into().ok()?;
+                estimate(rest, state, &pressures, rotation)
+            }));
+            path.truth.push(known(TRUTH.map(|column| value(a, column))));
+        }
+        Ok(Some(path))
+    }
+}
