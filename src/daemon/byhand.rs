@@ -53,6 +53,7 @@ pub(super) fn job(set: &Set, rig: &Rig, record: &TickRecord) -> Result<Job, Prob
         attendance: Attendance::Detached,
         accept_margin: true,
         hand: None,
+        whisk: None,
         stepped: false,
         and_back: false,
         live: None,

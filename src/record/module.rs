@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 
 use super::Result;
 use super::columns::column_name;
-use super::document::StartDocument;
 use super::run::Run;
 use super::signals::interpolate;
 use super::tube::TubeDocument;
