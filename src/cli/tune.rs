@@ -150,14 +150,14 @@ impl Args {
 fn usual(free: &FreeControl) -> Target {
     match free.controller {
         ControllerKind::Model(_) => Target::MODEL,
-        ControllerKind::Pid => Target::PID,
+        ControllerKind::Pid | ControllerKind::Nothing => Target::PID,
     }
 }
 
 fn controller(free: &FreeControl) -> &'static str {
     match free.controller {
         ControllerKind::Model(_) => "model",
-        ControllerKind::Pid => "pid",
+        ControllerKind::Pid | ControllerKind::Nothing => "pid",
     }
 }
 

@@ -238,11 +238,12 @@ pub(super) fn check_limits(section: &Section<'_>, free: &FreeControl, axis: &Axi
                     "keep within the envelope, or widen it in rig.toml",
                 );
             }
-            if free.imu.is_none() {
+            if !free.controls_angle() {
+                let why = if free.imu.is_none() { "has no IMU" } else { "turns with its module's plate" };
                 section.reject(
                     key,
-                    format!("`{}` has no IMU: its angle cannot be controlled", free.name),
-                    "ask for pressures, or give the FREE an IMU in rig.toml",
+                    format!("`{}` {why}: its angle cannot be controlled", free.name),
+                    "ask for pressures, or name a FREE with an IMU of its own",
                 );
             }
         }

@@ -62,6 +62,7 @@ fn free_control(raw: &RawRig, index: usize, free: &RawFree) -> FreeControl {
         name: free.name.clone(),
         free: free.calibration.free(),
         controller: match free.model {
+            _ if raw.in_module(index) => ControllerKind::Nothing,
             true => ControllerKind::Model(ModelSpec::default()),
             false => ControllerKind::Pid,
         },

@@ -98,9 +98,14 @@ impl RawRig {
     /// The IMU that measures the FREE `index`: its own, or the one on its module's plate.
     pub(super) fn imu(&self, index: usize) -> Option<&RawImu> {
         self.frees.get(index)?.imu.as_ref().or_else(|| {
-            let module = self.module.as_ref().filter(|module| module.config.frees.contains(&index))?;
+            let module = self.module.as_ref().filter(|_| self.in_module(index))?;
             module.imu.as_ref()
         })
+    }
+
+    /// Whether the end of the FREE `index` is on a module's plate.
+    pub(super) fn in_module(&self, index: usize) -> bool {
+        self.module.as_ref().is_some_and(|module| module.config.frees.contains(&index))
     }
 }
 

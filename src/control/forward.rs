@@ -19,7 +19,9 @@ impl Forward {
     /// What the FREE's configuration asks for, in a loop of `tick` seconds.
     pub fn new(free: &FreeControl, tick: f64) -> Result<Self, ControlError> {
         match &free.controller {
-            ControllerKind::Pid => Ok(Self::Linear(Feedforward::new(free.free, &free.regulator, free.feedforward))),
+            ControllerKind::Pid | ControllerKind::Nothing => {
+                Ok(Self::Linear(Feedforward::new(free.free, &free.regulator, free.feedforward)))
+            }
             ControllerKind::Model(spec) => ModelFollowing::new(free, spec, tick)
                 .map(|model| Self::Model(Box::new(model)))
                 .map_err(|problem| ControlError::Model { free: free.name.clone(), problem }),
@@ -63,7 +65,7 @@ impl Forward {
 /// What the derivative term looks at.
 pub fn derivative_on(free: &FreeControl) -> DerivativeOn {
     match free.controller {
-        ControllerKind::Pid => free.derivative_on,
+        ControllerKind::Pid | ControllerKind::Nothing => free.derivative_on,
         // The model moves, and so does what the derivative compares with.
         ControllerKind::Model(_) => DerivativeOn::Error,
     }

@@ -83,9 +83,9 @@ impl Margin {
     }
 }
 
-/// The margin of a FREE's loop at a tick of `period`; `None` where there is no IMU and so no loop.
+/// The margin of a FREE's loop at a tick of `period`; `None` where its angle is not controlled.
 pub fn margin(free: &FreeControl, period: Duration) -> Option<Margin> {
-    let imu = free.imu.as_ref()?;
+    let imu = free.imu.as_ref().filter(|_| free.controls_angle())?;
     Some(Loop::new(&free.free, &free.gains, &free.regulator, imu, period).margin())
 }
 

@@ -84,6 +84,8 @@ pub enum ControllerKind {
     /// The inverse model with preview, shaped steps and hysteresis; the PID is its feedback
     /// ([`model_following`]).
     Model(ModelSpec),
+    /// Nothing: the FREE follows pressures, and its end turns with its module's plate.
+    Nothing,
 }
 
 /// What the inverse model knows beyond the FREE, its regulator and its IMU.
@@ -144,6 +146,13 @@ pub struct FreeControl {
     pub imu: Option<ImuChannel>,
     /// Its regulator.
     pub regulator: RegulatorChannel,
+}
+
+impl FreeControl {
+    /// Whether its angle can be controlled: it is measured, and the end is its own.
+    pub fn controls_angle(&self) -> bool {
+        self.imu.is_some() && self.controller != ControllerKind::Nothing
+    }
 }
 
 /// Everything the controller of a rig is built from.

@@ -76,8 +76,8 @@ fn to_pressure(free: &FreeControl, tick: &FreeTick, wanted: f64) -> Result<(Stri
 }
 
 fn to_angle(free: &FreeControl, tick: &FreeTick, wanted: f64) -> Result<(String, Axis), Problem> {
-    if free.imu.is_none() || !tick.estimate.valid {
-        let error = format!("the angle of `{}` is not measured", free.name);
+    if !free.controls_angle() || !tick.estimate.valid {
+        let error = format!("the angle of `{}` is not measured, or is its module's", free.name);
         return Err(Problem::new(ProblemKind::Refused, error, "set a pressure, or give the FREE an IMU in rig.toml"));
     }
     let (low, high) = free.limits.angle_soft;

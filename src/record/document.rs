@@ -249,7 +249,7 @@ impl FreeDocument {
             gains: free.gains.into(),
             derivative_on_error: free.derivative_on == DerivativeOn::Error,
             feedforward: free.feedforward,
-            model_leads: free.controller != ControllerKind::Pid,
+            model_leads: matches!(free.controller, ControllerKind::Model(_)),
             limits: free.limits.into(),
         }
     }
