@@ -26,8 +26,8 @@ use crate::fem::module::State;
 const REACHED: f64 = 1e-5;
 /// Steps towards a target; far ones take ten, projections along a curved edge the most.
 const STEPS: usize = 80;
-/// A step that promises less than this share of the squared error's half is none.
-const FLAT: f64 = 1e-7;
+/// A step that promises to come nearer by less than this share of that is none.
+const FLAT: f64 = 0.1;
 /// Pa: what no regulator can do.
 const FINEST: f64 = 1.0;
 /// Pa, the widest step from where a search begins.
@@ -87,7 +87,7 @@ impl std::fmt::Display for Shortfall {
         match self {
             Shortfall::Bounds => write!(f, "pressures at their bounds would have to go beyond them"),
             Shortfall::Margin => write!(f, "the least margin is in the way"),
-            Shortfall::Ends(ended) => write!(f, "on the way the module {}", ended.end),
+            Shortfall::Ends(ended) => write!(f, "on the way {ended}"),
             Shortfall::Freedom => write!(f, "four pressures cannot move the plate that way"),
         }
     }
@@ -274,7 +274,7 @@ impl<'a> Search<'a> {
             };
             let linear = (at.residual + at.jacobian * step).norm_squared();
             let promised = 0.5 * (at.residual.norm_squared() - linear);
-            if promised <= FLAT * 0.5 * at.residual.norm_squared() || step.amax() < FINEST {
+            if promised <= FLAT * self.reached * at.residual.norm() || step.amax() < FINEST {
                 break;
             }
             match self.go(&at, &step) {
@@ -363,10 +363,7 @@ impl<'a> Search<'a> {
     fn freedom(&mut self, at: &Point) -> Option<Vector4<f64>> {
         let (low, high) = self.room(at, SPEND);
         let mut jacobian = at.jacobian;
-        let mut held = [false; FREES];
-        for i in 0..FREES {
-            held[i] = high[i] - low[i] < 2.0 * DIFFERENCE;
-        }
+        let mut held: [bool; FREES] = std::array::from_fn(|i| high[i] - low[i] < 2.0 * DIFFERENCE);
         let mut slope = None;
         for _ in 0..FREES {
             for (i, mut column) in jacobian.column_iter_mut().enumerate() {
@@ -398,7 +395,8 @@ impl<'a> Search<'a> {
             }
             let way = uphill.normalize();
             // A channel that this would push out of the box at once is held instead.
-            match (0..FREES).find(|i| way[*i] * if way[*i] > 0.0 { high[*i] } else { low[*i] } < 0.1 * FINEST && way[*i].abs() > 1e-6) {
+            let room = |i: usize| if way[i] > 0.0 { high[i] } else { -low[i] };
+            match (0..FREES).find(|i| way[*i].abs() > 1e-6 && room(*i) < FINEST) {
                 Some(i) => held[i] = true,
                 None => return Some(way),
             }
