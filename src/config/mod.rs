@@ -18,6 +18,7 @@
 pub mod atomic;
 mod axis;
 mod build;
+mod cache;
 pub mod calibration;
 mod columns;
 mod conditions;
@@ -35,6 +36,7 @@ mod script;
 mod sections;
 mod tube;
 
+pub use cache::Cache;
 pub use calibration::Calibration;
 pub use conditions::{Conditions, FittedGeometry};
 pub use experiment::{Course, Experiment, Kind};
