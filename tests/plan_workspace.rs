@@ -1,8 +1,11 @@
 //! The paper's cases, and what can be reached at all.
 
 mod plan;
+#[path = "plan/section.rs"]
+mod section;
 
 use freerig::fem::module::{Loads, Module};
+use freerig::fem::rod::Resolution;
 use freerig::plan::workspace::{CasePath, against_paper, cases, reach};
 use freerig::plan::{End, Limits, Rest};
 use freerig::units::PASCAL_PER_PSI as PSI;
@@ -81,7 +84,7 @@ fn a_path_that_ends_says_where_and_why() {
 
 #[test]
 fn the_papers_figures_stand_beside_ours() {
-    let (m30, m60) = (module(30.0), module(60.0));
+    let [m30, m60] = [30.0, 60.0].map(|gamma| section::module(gamma, Resolution::DEFAULT));
     let (rest30, rest60) = (rest(&m30), rest(&m60));
     let [thirty, sixty] = [&rest30, &rest60].map(|rest| cases(rest, 7.0 * PSI, 50).unwrap());
     let table = against_paper((&rest30, &thirty), (&rest60, &sixty));
@@ -89,11 +92,12 @@ fn the_papers_figures_stand_beside_ours() {
     for row in &table {
         println!("{:<36} {:>9.4} {:>9.4?} {}  misfit {:+.2?}", row.what, row.paper, row.ours, row.unit, row.misfit());
     }
-    // Not a fit: the closed-form law and one spacing. What it has to get right is the order of things.
+    // Not a fit: one material law and one spacing, which the paper does not state. What they have to get right is the
+    // order of things.
     let ours = |k: usize| table[k].ours.unwrap();
-    assert!(ours(0) > ours(1) && ours(1) > ours(2) && ours(4) > 1.0 && ours(5) > 1.0);
-    assert_eq!(table[3].ours, None, "Case 5 at 60 deg ends in contact before 7 psi");
-    assert!(table.iter().all(|row| row.misfit().is_none_or(f64::is_finite)));
+    assert!(ours(0) > ours(1) && ours(1) > ours(2) && ours(4) > 1.5 && ours(5) > 1.5);
+    // Read off a figure, "about" 10 mm: to half a centimetre.
+    assert!((ours(2) - 0.010).abs() < 0.005 && (ours(3) - 0.010).abs() < 0.005);
 }
 
 #[test]

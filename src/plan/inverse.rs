@@ -43,6 +43,25 @@ const SPEND: f64 = 7e3;
 /// Steps along the freedoms where nothing is known yet; a warm start makes one.
 const ROUNDS: usize = 16;
 
+/// Where a search that knows nothing begins, in halves of the limits: rest, the two turns, and bends all round.
+const STARTS: [[f64; 4]; 11] = [
+    [0.0, 0.0, 0.0, 0.0],
+    [1.0, 0.0, 1.0, 0.0],
+    [0.0, 1.0, 0.0, 1.0],
+    [1.0, 0.0, 0.0, 0.0],
+    [0.0, 0.0, 1.0, 0.0],
+    [0.0, 1.0, 0.0, 0.0],
+    [0.0, 0.0, 0.0, 1.0],
+    [1.0, 1.0, 0.0, 0.0],
+    [0.0, 0.0, 1.0, 1.0],
+    [0.0, 1.0, 1.0, 0.0],
+    [1.0, 0.0, 0.0, 1.0],
+];
+/// Searches that agree are enough when there are so many.
+const AGREED: usize = 3;
+/// Pa: answers that differ by less agree.
+const ALIKE: f64 = 100.0;
+
 /// Pressures and what they do.
 #[derive(Clone, Debug)]
 pub struct Inverse {
@@ -93,28 +112,14 @@ impl std::fmt::Display for Shortfall {
     }
 }
 
-/// The pressures for `target`, wherever the module is: from rest and from several states bent and turned by half of
-/// what the limits allow, the best of what they lead to. The slew rate does not count.
+/// The pressures for `target`, wherever the module is: from rest and from states turned and bent by half of what the
+/// limits allow, the best of what they lead to; enough when three lead to the same. The slew rate does not count.
 ///
 /// # Errors
 /// A target or limits that are none; pressures that cannot be reached from rest. Not a target out of reach.
 pub fn cold(rest: &Rest<'_>, target: &Target, limits: &Limits) -> Result<Inverse, PlanError> {
     target.check(rest)?;
     limits.check()?;
-    // One at a time, neighbours, the two diagonals, and nothing.
-    const STARTS: [[f64; 4]; 11] = [
-        [0.0, 0.0, 0.0, 0.0],
-        [1.0, 0.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0, 0.0],
-        [0.0, 0.0, 1.0, 0.0],
-        [0.0, 0.0, 0.0, 1.0],
-        [1.0, 1.0, 0.0, 0.0],
-        [0.0, 1.0, 1.0, 0.0],
-        [0.0, 0.0, 1.0, 1.0],
-        [1.0, 0.0, 0.0, 1.0],
-        [1.0, 0.0, 1.0, 0.0],
-        [0.0, 1.0, 0.0, 1.0],
-    ];
     let window = limits.around(&[0.0; FREES], f64::INFINITY);
     let (mut found, mut first_end, mut equilibria) = (Vec::new(), None, 0);
     for start in STARTS {
@@ -132,6 +137,9 @@ pub fn cold(rest: &Rest<'_>, target: &Target, limits: &Limits) -> Result<Inverse
         let at = search.spend(at, ROUNDS);
         equilibria += search.equilibria;
         found.push(search.answer(at, cause));
+        if agreeing(&found) >= AGREED {
+            break;
+        }
     }
     // Those that reach it by margin, then the others by what they are off by.
     found.sort_by(|a, b| {
@@ -192,6 +200,16 @@ pub(super) fn towards(rest: &Rest<'_>, target: &Target, limits: &Limits, start: 
     let mut search = Search::new(rest, target, limits, window);
     let Some(begin) = search.point(start.clone()) else { return Err(PlanError::NoStart(End::Limit)) };
     Ok(search.approach(begin).0.state)
+}
+
+/// How many agree with the last of `found`.
+fn agreeing(found: &[Inverse]) -> usize {
+    let Some(last) = found.last() else { return 0 };
+    let apart = |other: &Inverse| {
+        let pairs = last.pressures.iter().zip(&other.pressures);
+        pairs.fold(0.0, |far, (a, b)| f64::max(far, (a - b).abs()))
+    };
+    found.iter().filter(|other| apart(other) < ALIKE).count()
 }
 
 /// Two equilibria at the same pressures are one.
