@@ -45,6 +45,13 @@ impl fmt::Display for End {
     }
 }
 
+impl fmt::Display for Ended {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [a, b, c, d] = self.pressures;
+        write!(f, "the module {} at {a:.0}, {b:.0}, {c:.0}, {d:.0} Pa", self.end)
+    }
+}
+
 impl Rest<'_> {
     /// The stable equilibrium at `to` (Pa), followed from `from` along the straight way between; else where the way ends.
     pub fn onward(&self, from: &State, to: &[f64; 4]) -> Result<State, Box<Ended>> {
