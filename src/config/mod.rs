@@ -34,6 +34,7 @@ mod reader;
 mod rig;
 mod script;
 mod sections;
+mod tables;
 mod tube;
 
 pub use calibration::Calibration;
@@ -47,3 +48,4 @@ pub use module::{FREES as MODULE_FREES, ModuleConfig};
 pub use problem::{ConfigError, Problem};
 pub use rig::{Backend, LoopConfig, RecordConfig, Rig, SocketConfig};
 pub use script::Script;
+pub use tables::{Waypoints, pressure_rows, waypoints};
