@@ -8,7 +8,7 @@ use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use freerig::fem::module::{Loads, Module, Mount};
-use freerig::fem::rod::{Law, Quadratic, Resolution, Rod, Straight};
+use freerig::fem::rod::{Law, Profile, Resolution, Rod, Straight};
 use nalgebra::Vector3;
 
 const MM: f64 = 1e-3;
@@ -18,9 +18,9 @@ const RESOLUTIONS: [(usize, usize); 5] = [(1, 2), (2, 3), (3, 4), (4, 4), (5, 8)
 fn mount(x: f64, y: f64, extension: f64, twist_per_mm: f64) -> Mount {
     let law = Law {
         straight: Straight::spontaneous(30.606, 273.264e-6, extension, twist_per_mm / MM),
-        bending: Quadratic::constant(409.895e-6),
-        shear: Quadratic::constant(5.4070),
-        coupling: Quadratic::constant(0.0),
+        bending: Profile::constant(409.895e-6),
+        shear: Profile::constant(5.4070),
+        coupling: Profile::constant(0.0),
         mirrored: false,
     };
     Mount { base: Vector3::new(x, y, 0.0) * MM, rod: Rod::straight(LENGTH, law) }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use freerig::fem::linear::LinearSection;
 use freerig::fem::module::{Kind, Loads, Module, ModuleError, Mount, Path, State, square};
-use freerig::fem::rod::{Axis, Law, LawError, Quadratic, Resolution, Rod, RodError, Straight, Table};
+use freerig::fem::rod::{Axis, Grid, Law, LawError, Profile, Resolution, Rod, RodError, Straight, Table};
 use freerig::fem::tube::Tube;
 use freerig::units::PASCAL_PER_PSI as PSI;
 use nalgebra::{Quaternion, UnitQuaternion, Vector2, Vector3};
@@ -15,9 +15,9 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector2, Vector3};
 const LENGTH: f64 = 0.13;
 
 /// EI at 0, 3.5 and 7 psi, N mm2, of the reference values.
-fn bending(gamma_deg: f64) -> Quadratic {
+fn bending(gamma_deg: f64) -> Profile {
     let ei = if gamma_deg == 30.0 { [673.0, 909.0, 1854.0] } else { [416.0, 476.0, 551.0] };
-    Quadratic::through([(0.0, ei[0] * 1e-6), (3.5 * PSI, ei[1] * 1e-6), (7.0 * PSI, ei[2] * 1e-6)])
+    Profile::through([(0.0, ei[0] * 1e-6), (3.5 * PSI, ei[1] * 1e-6), (7.0 * PSI, ei[2] * 1e-6)])
 }
 
 fn section(gamma_deg: f64) -> LinearSection {
@@ -30,8 +30,8 @@ fn module(gamma_deg: f64, outer_radius: f64, plate_mass: f64) -> Module {
         let law = Law {
             straight: Straight::closed_form(&section(gamma_deg)),
             bending: bending(gamma_deg),
-            shear: Quadratic::constant(1e4),
-            coupling: Quadratic::constant(0.0),
+            shear: Profile::constant(1e4),
+            coupling: Profile::constant(0.0),
             mirrored: i % 2 == 1,
         };
         let rod = Rod { length: LENGTH, law, rest_curvature: Vector2::zeros(), outer_radius };
@@ -73,7 +73,7 @@ fn a_tabulated_law_moves_the_module_as_the_law_itself_does() {
     let closed = exact.mounts()[0].rod.law.clone();
     let axes = [(0.9, 1.1, 5), (-15.0, 15.0, 6), (0.0, 7.0 * PSI, 5)];
     let [stretch, twist, pressure] = axes.map(|(from, to, points)| Axis { from, to, points });
-    let table = Table::build(stretch, twist, pressure, |l, t, p| closed.jet(l, t, p).ok()).unwrap();
+    let table = Table::build(Grid::straight(stretch, twist, pressure), |l, t, p| closed.jet(l, t, p).ok()).unwrap();
     let straight = Straight::Table(Arc::new(table));
     let mut mounts = exact.mounts().to_vec();
     for mount in &mut mounts {
@@ -164,8 +164,8 @@ fn a_blocked_free_of_60_degrees_buckles_between_4_and_5_psi() {
     let law = Law {
         straight,
         bending: bending(60.0),
-        shear: Quadratic::constant(5.407),
-        coupling: Quadratic::constant(0.0),
+        shear: Profile::constant(5.407),
+        coupling: Profile::constant(0.0),
         mirrored: false,
     };
     let mount = Mount { base: Vector3::zeros(), rod: Rod::straight(LENGTH, law) };

@@ -6,7 +6,7 @@
 use std::f64::consts::PI;
 
 use freerig::fem::module::{Kind, Loads, Module, ModuleError, Mount, Path};
-use freerig::fem::rod::{Law, Quadratic, Resolution, Rod, Straight};
+use freerig::fem::rod::{Law, Profile, Resolution, Rod, Straight};
 use nalgebra::{Rotation3, Vector2, Vector3, Vector6};
 use rand::{Rng, SeedableRng};
 
@@ -22,9 +22,9 @@ const FINE: Resolution = Resolution { degree: 7, steps: 16 };
 fn elastic([ea, ei, gj, ga]: [f64; 4], extension: f64, twist: f64) -> Law {
     Law {
         straight: Straight::spontaneous(ea, gj, extension, twist),
-        bending: Quadratic::constant(ei),
-        shear: Quadratic::constant(ga),
-        coupling: Quadratic::constant(0.0),
+        bending: Profile::constant(ei),
+        shear: Profile::constant(ga),
+        coupling: Profile::constant(0.0),
         mirrored: false,
     }
 }

@@ -18,6 +18,7 @@
 pub mod atomic;
 mod axis;
 mod build;
+mod cache;
 pub mod calibration;
 mod columns;
 mod conditions;
@@ -37,6 +38,7 @@ mod sections;
 mod tables;
 mod tube;
 
+pub use cache::Cache;
 pub use calibration::Calibration;
 pub use conditions::{Conditions, FittedGeometry};
 pub use experiment::{Course, Experiment, Kind};

@@ -25,6 +25,7 @@ pub mod material;
 pub mod module;
 pub mod rod;
 pub mod section;
+pub mod section_law;
 pub mod solid;
 pub mod sparse;
 pub mod tube;

@@ -21,15 +21,19 @@
 //! ways are cut. Where they become arbitrarily short there is a limit point, and the error says how far it came.
 //! [`Path`] goes around it, by arc length.
 
+mod answer;
 mod clearance;
 mod newton;
 mod path;
+mod scene;
 mod state;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
+pub use answer::{Answer, Limit, Pose, Reason, answer};
 pub use path::{Critical, Kind, Path, Point};
+pub use scene::{Free, Hand, Layout, LayoutError, ModuleScene, NAMES, SceneError};
 pub use state::{State, Wrench};
 
 use super::rod::{Basis, DualMatrix, Resolution, Rod, RodError};
@@ -177,6 +181,12 @@ impl Module {
         Ok(Module { mounts, plate_mass, resolution, basis: Basis::new(resolution), rest })
     }
 
+    /// The same with the plate's centre at `height` m at rest: what lies between a rod's tip and the plate is rigid.
+    pub fn with_plate_at(mut self, height: f64) -> Module {
+        self.rest.z = height;
+        self
+    }
+
     /// The rods.
     pub fn mounts(&self) -> &[Mount] {
         &self.mounts
@@ -194,7 +204,7 @@ impl Module {
 
     /// The same with another resolution.
     pub fn with_resolution(&self, resolution: Resolution) -> Result<Module, ModuleError> {
-        Module::new(self.mounts.clone(), self.plate_mass, resolution)
+        Ok(Module::new(self.mounts.clone(), self.plate_mass, resolution)?.with_plate_at(self.rest.z))
     }
 
     /// What the plate's pose does to rod `index`'s tip: the tip's target pose.

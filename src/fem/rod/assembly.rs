@@ -230,7 +230,7 @@ mod tests {
 
     use super::super::basis::{Basis, Resolution};
     use super::super::condensed::{Condensed, moment_force, twist, vector6};
-    use super::super::law::{Law, Quadratic, Straight};
+    use super::super::law::{Law, Profile, Straight};
     use super::*;
 
     const PRESSURE: f64 = 0.7;
@@ -241,9 +241,9 @@ mod tests {
         let actuation = Vector2::new(0.2, -0.3);
         let law = Law {
             straight: Straight::Linear { stiffness, actuation, volume: 0.2, compliance: 0.1 },
-            bending: Quadratic::through([(0.0, 1.0), (1.0, 1.5), (2.0, 2.2)]),
-            shear: Quadratic::through([(0.0, 2.0), (1.0, 2.1), (2.0, 2.0)]),
-            coupling: Quadratic::through([(0.0, 0.2), (1.0, 0.3), (2.0, 0.5)]),
+            bending: Profile::through([(0.0, 1.0), (1.0, 1.5), (2.0, 2.2)]),
+            shear: Profile::through([(0.0, 2.0), (1.0, 2.1), (2.0, 2.0)]),
+            coupling: Profile::through([(0.0, 0.2), (1.0, 0.3), (2.0, 0.5)]),
             mirrored: true,
         };
         Rod { length: 1.3, law, rest_curvature: Vector2::new(0.1, -0.2), outer_radius: 0.0 }

@@ -81,11 +81,18 @@ pub enum Straight {
     Table(Arc<Table>),
 }
 
-/// A quadratic function of the pressure.
+/// Most points that a [`Profile`] goes through.
+const PROFILE: usize = 5;
+
+/// A polynomial of the pressure, in Newton's form.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Quadratic {
-    /// `c[0] + c[1] P + c[2] P^2`.
-    coefficients: [f64; 3],
+pub struct Profile {
+    /// Pressures of the points, Pa.
+    nodes: [f64; PROFILE],
+    /// Divided differences: `c[0] + (P - n[0]) (c[1] + (P - n[1]) (c[2] + ...))`.
+    coefficients: [f64; PROFILE],
+    /// Constant from here on, Pa.
+    last: f64,
 }
 
 /// The law of a rod.
@@ -94,12 +101,12 @@ pub struct Law {
     /// psi0.
     pub straight: Straight,
     /// EI, N m2, of curvature per reference length.
-    pub bending: Quadratic,
+    pub bending: Profile,
     /// GA, N, of shear per reference length. A rod that cannot shear is one with a large GA: shear strains are
     /// unknowns of their own, so nothing locks.
-    pub shear: Quadratic,
+    pub shear: Profile,
     /// C, N m.
-    pub coupling: Quadratic,
+    pub coupling: Profile,
     /// The mirror image (other handedness): psi0(lam, -tau) and -C.
     pub mirrored: bool,
 }
@@ -115,30 +122,50 @@ pub(crate) struct Isobar<'a> {
     pub lateral_slope: [f64; 3],
 }
 
-impl Quadratic {
+impl Profile {
     /// The same at every pressure.
-    pub fn constant(value: f64) -> Quadratic {
-        Quadratic { coefficients: [value, 0.0, 0.0] }
+    pub fn constant(value: f64) -> Profile {
+        Profile::through([(0.0, value)])
     }
 
-    /// Through three (pressure Pa, value) of different pressures.
-    pub fn through(points: [(f64, f64); 3]) -> Quadratic {
-        // Newton's divided differences, multiplied out.
-        let [(p0, f0), (p1, f1), (p2, f2)] = points;
-        let d01 = (f1 - f0) / (p1 - p0);
-        let d12 = (f2 - f1) / (p2 - p1);
-        let d = (d12 - d01) / (p2 - p0);
-        Quadratic { coefficients: [f0 - p0 * d01 + p0 * p1 * d, d01 - (p0 + p1) * d, d] }
+    /// Through one to five (pressure Pa, value) of different pressures: of the least degree that does.
+    pub fn through<const N: usize>(points: [(f64, f64); N]) -> Profile {
+        const { assert!(1 <= N && N <= PROFILE) };
+        let (mut nodes, mut coefficients) = ([0.0; PROFILE], [0.0; PROFILE]);
+        for (i, (pressure, value)) in points.into_iter().enumerate() {
+            (nodes[i], coefficients[i]) = (pressure, value);
+        }
+        for order in 1..N {
+            for i in (order..N).rev() {
+                let slope = (coefficients[i] - coefficients[i - 1]) / (nodes[i] - nodes[i - order]);
+                coefficients[i] = slope;
+            }
+        }
+        Profile { nodes, coefficients, last: f64::INFINITY }
+    }
+
+    /// The same, and constant above `last` Pa.
+    pub fn constant_above(self, last: f64) -> Profile {
+        Profile { last, ..self }
     }
 
     /// The value at `pressure` Pa.
     pub fn at(&self, pressure: f64) -> f64 {
-        let [a, b, c] = self.coefficients;
-        a + pressure * (b + pressure * c)
+        self.value_and_slope(pressure).0
     }
 
     fn slope(&self, pressure: f64) -> f64 {
-        self.coefficients[1] + 2.0 * pressure * self.coefficients[2]
+        if pressure > self.last { 0.0 } else { self.value_and_slope(pressure).1 }
+    }
+
+    fn value_and_slope(&self, pressure: f64) -> (f64, f64) {
+        let p = pressure.min(self.last);
+        let (mut value, mut slope) = (0.0, 0.0);
+        for (node, coefficient) in self.nodes.iter().zip(&self.coefficients).rev() {
+            slope = value + (p - node) * slope;
+            value = coefficient + (p - node) * value;
+        }
+        (value, slope)
     }
 }
 
@@ -250,9 +277,9 @@ mod tests {
         for mirrored in [false, true] {
             let law = Law {
                 straight: Straight::closed_form(&section),
-                bending: Quadratic::constant(4e-4),
-                shear: Quadratic::constant(5.0),
-                coupling: Quadratic::constant(0.0),
+                bending: Profile::constant(4e-4),
+                shear: Profile::constant(5.0),
+                coupling: Profile::constant(0.0),
                 mirrored,
             };
             let at = [1.03, -2.0, 2e4];
@@ -273,23 +300,29 @@ mod tests {
     }
 
     #[test]
-    fn a_quadratic_goes_through_its_points_and_knows_its_slope() {
-        let q = Quadratic::through([(0.0, 673.0), (3.5, 909.0), (7.0, 1854.0)]);
-        assert!(
-            (q.at(0.0) - 673.0).abs() < 1e-12
-                && (q.at(3.5) - 909.0).abs() < 1e-12
-                && (q.at(7.0) - 1854.0).abs() < 1e-12
-        );
-        assert!(((q.at(2.001) - q.at(1.999)) / 0.002 - q.slope(2.0)).abs() < 1e-9);
+    fn a_profile_goes_through_its_points_and_knows_its_slope() {
+        let points = [(0.0, 673.0), (3.5, 909.0), (7.0, 1854.0), (8.0, 1900.0), (10.0, 1000.0)];
+        let quartic = Profile::through(points);
+        assert!(points.iter().all(|(p, value)| (quartic.at(*p) - value).abs() < 1e-10));
+        let quadratic = Profile::through([points[0], points[1], points[2]]);
+        // Second differences of a quadratic are all alike.
+        let second = |p: f64| quadratic.at(p + 1.0) - 2.0 * quadratic.at(p) + quadratic.at(p - 1.0);
+        assert!((second(2.0) - second(9.0)).abs() < 1e-9 && (quadratic.at(7.0) - 1854.0).abs() < 1e-10);
+        for profile in [quartic, quadratic, Profile::constant(4.0)] {
+            assert!(((profile.at(2.0001) - profile.at(1.9999)) / 0.0002 - profile.slope(2.0)).abs() < 1e-5);
+        }
+        let kept = quartic.constant_above(7.5);
+        assert_eq!((kept.at(9.0), kept.slope(9.0)), (quartic.at(7.5), 0.0));
+        assert_eq!(kept.at(7.0), quartic.at(7.0));
     }
 
     #[test]
     fn a_law_without_stiffness_is_refused_by_name() {
         let law = Law {
             straight: Straight::spontaneous(30.0, 3e-4, 0.0, 0.0),
-            bending: Quadratic::through([(0.0, 4e-4), (1.0, 2e-4), (2.0, 0.0)]),
-            shear: Quadratic::constant(5.0),
-            coupling: Quadratic::constant(0.0),
+            bending: Profile::through([(0.0, 4e-4), (1.0, 2e-4), (2.0, 0.0)]),
+            shear: Profile::constant(5.0),
+            coupling: Profile::constant(0.0),
             mirrored: false,
         };
         assert!(law.at(1.0).is_ok());

@@ -23,8 +23,8 @@ pub(crate) use basis::Basis;
 pub use basis::Resolution;
 pub(crate) use condensed::{Condensed, blocks, half_bracket, moment_force, twist, vector6, wrench};
 pub(crate) use dual::{DualMatrix, DualVector, Exponential, skew, small_twist};
-pub use law::{Jet, Law, LawError, Quadratic, Straight};
-pub use table::{Axis, Table, TableDeviation, TableError};
+pub use law::{Jet, Law, LawError, Profile, Straight};
+pub use table::{Axis, Grid, Table, TableDeviation, TableError};
 
 /// A rod of one law. SI units.
 #[derive(Clone, Debug)]

@@ -7,6 +7,9 @@
 //! along the grid. They are fourth-order exact and multiply the basis functions that vanish with at least the third
 //! power of the cell's size, so the interpolant keeps its sixth order.
 //!
+//! The grid is skewed: its first coordinate is the stretch less a multiple of the twist and of the pressure. A tube of
+//! stiff fibres that is twisted changes its length, so that the states it can reach lie about a slanted plane.
+//!
 //! A cell is valid where all its eight corners were accepted; elsewhere the table refuses by name.
 
 use nalgebra::{Matrix3, Vector3};
@@ -16,6 +19,10 @@ use super::law::{Jet, LawError};
 
 /// Derivatives 0 to 2 in each variable.
 const DERIVATIVES: usize = 27;
+/// Those of them that a law gives: value, gradient, Hessian.
+pub(crate) const KNOWN: usize = 10;
+/// Where these stand among the 27.
+const PLACES: [usize; KNOWN] = [0, 9, 3, 1, 18, 12, 10, 6, 4, 2];
 /// Points of a difference formula.
 const STENCIL: usize = 5;
 
@@ -30,12 +37,35 @@ pub struct Axis {
     pub points: usize,
 }
 
+/// The points of a table.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grid {
+    /// `stretch - skew[0] twist - skew[1] pressure`.
+    pub stretch: Axis,
+    /// Twist, rad per reference metre.
+    pub twist: Axis,
+    /// Gauge pressure, Pa.
+    pub pressure: Axis,
+    /// Change of the stretch with twist (m) and pressure (1/Pa) along the grid's first plane.
+    pub skew: [f64; 2],
+}
+
 /// What is no table.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum TableError {
     /// An axis is empty, reversed or has too few points.
     #[error("axis {0:?}: must rise from finite to finite in at least {STENCIL} points")]
     Axis(Axis),
+    /// Another number of states than of points, or a skew that is no number.
+    #[error("{states} states for a grid of {points} points with skew {skew:?}: one for each, and finite skews")]
+    States {
+        /// Given.
+        states: usize,
+        /// Needed.
+        points: usize,
+        /// Of the grid.
+        skew: [f64; 2],
+    },
     /// No cell has all its corners accepted.
     #[error("the law accepts no whole cell of the grid: choose ranges about the states that it has")]
     Empty,
@@ -44,6 +74,7 @@ pub enum TableError {
 /// The interpolated potential.
 #[derive(Clone, Debug)]
 pub struct Table {
+    grid: Grid,
     axes: [Axis; 3],
     /// By point (pressure fastest): the derivatives `d^(a+b+c) psi0` times the cell's sizes to their powers, at
     /// `9 a + 3 b + c`.
@@ -84,36 +115,94 @@ impl Axis {
     }
 }
 
+impl Grid {
+    /// A grid without skew.
+    pub fn straight(stretch: Axis, twist: Axis, pressure: Axis) -> Grid {
+        Grid { stretch, twist, pressure, skew: [0.0; 2] }
+    }
+
+    /// The three axes.
+    pub fn axes(&self) -> [Axis; 3] {
+        [self.stretch, self.twist, self.pressure]
+    }
+
+    /// Number of points.
+    pub fn points(&self) -> usize {
+        self.axes().iter().map(|a| a.points).product()
+    }
+
+    /// Where a point's state stands in the list of them: the pressure runs fastest, the stretch slowest.
+    pub fn index(&self, [stretch, twist, pressure]: [usize; 3]) -> usize {
+        (stretch * self.twist.points + twist) * self.pressure.points + pressure
+    }
+
+    /// (stretch, twist rad/m, pressure Pa) of a point.
+    pub fn at(&self, [stretch, twist, pressure]: [usize; 3]) -> [f64; 3] {
+        self.unskewed([self.stretch.value(stretch), self.twist.value(twist), self.pressure.value(pressure)])
+    }
+
+    /// (stretch, twist, pressure) in the middle of the cell whose lowest corner is `at`.
+    pub fn middle(&self, at: [usize; 3]) -> [f64; 3] {
+        let middle = |axis: Axis, i: usize| axis.value(i) + 0.5 * axis.spacing();
+        let axes = self.axes();
+        self.unskewed([middle(axes[0], at[0]), middle(axes[1], at[1]), middle(axes[2], at[2])])
+    }
+
+    fn unskewed(&self, [x, twist, pressure]: [f64; 3]) -> [f64; 3] {
+        [x + self.skew[0] * twist + self.skew[1] * pressure, twist, pressure]
+    }
+
+    fn skewed(&self, [stretch, twist, pressure]: [f64; 3]) -> [f64; 3] {
+        [stretch - self.skew[0] * twist - self.skew[1] * pressure, twist, pressure]
+    }
+
+    /// Every point, in the order of its index.
+    fn all(&self) -> impl Iterator<Item = [usize; 3]> + use<> {
+        let [_, m, l] = self.axes().map(|a| a.points);
+        (0..self.points()).map(move |i| [i / (m * l), i / l % m, i % l])
+    }
+}
+
+impl Jet {
+    /// The same by (x, twist, pressure), where `stretch = x + skew . (twist, pressure)`.
+    fn skewed(&self, [by_twist, by_pressure]: [f64; 2]) -> Jet {
+        let j = Matrix3::new(1.0, by_twist, by_pressure, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
+        Jet { value: self.value, gradient: j.tr_mul(&self.gradient), hessian: j.tr_mul(&(self.hessian * j)) }
+    }
+}
+
 impl Table {
-    /// Tabulates `law`, which gives the potential at (stretch, twist rad/m, pressure Pa), or none where it has no
-    /// accepted state. It is called once a grid point, along the stretch within a twist within a pressure, each row
-    /// begun where the last one ended, so that a solver can go on from its last solution.
-    pub fn build(
-        stretch: Axis,
-        twist: Axis,
-        pressure: Axis,
-        mut law: impl FnMut(f64, f64, f64) -> Option<Jet>,
+    /// The table of the potential at a grid's points, none where the law has no accepted state, in the order of
+    /// [`Grid::index`].
+    pub fn new(grid: Grid, states: &[Option<Jet>]) -> Result<Table, TableError> {
+        let spacing = grid.axes().map(|a| a.spacing());
+        let known = |state: &Option<Jet>| state.map(|jet| known(&jet.skewed(grid.skew), spacing));
+        Table::from_known(grid, states.iter().map(known))
+    }
+
+    /// The table from what it keeps of each point, in the order of [`Grid::index`].
+    pub(crate) fn from_known(
+        grid: Grid,
+        states: impl ExactSizeIterator<Item = Option<[f64; KNOWN]>>,
     ) -> Result<Table, TableError> {
-        let axes = [stretch, twist, pressure];
+        let axes = grid.axes();
         for axis in axes {
             if !(axis.points >= STENCIL && axis.from < axis.to && axis.from.is_finite() && axis.to.is_finite()) {
                 return Err(TableError::Axis(axis));
             }
         }
-        let count = axes.iter().map(|a| a.points).product();
-        let mut table = Table { axes, corners: vec![[0.0; DERIVATIVES]; count], accepted: vec![false; count] };
-        for k in 0..pressure.points {
-            for j in 0..twist.points {
-                let j = if k % 2 == 0 { j } else { twist.points - 1 - j };
-                for i in 0..stretch.points {
-                    let i = if (j + k) % 2 == 0 { i } else { stretch.points - 1 - i };
-                    if let Some(jet) = law(stretch.value(i), twist.value(j), pressure.value(k)) {
-                        let at = table.index([i, j, k]);
-                        table.accepted[at] = true;
-                        table.corners[at] = known(&jet, axes.map(|a| a.spacing()));
-                    }
-                }
+        let (points, skew) = (grid.points(), grid.skew);
+        if states.len() != points || !skew.iter().all(|s| s.is_finite()) {
+            return Err(TableError::States { states: states.len(), points, skew });
+        }
+        let mut table = Table { grid, axes, corners: Vec::with_capacity(points), accepted: Vec::with_capacity(points) };
+        for state in states {
+            let mut corner = [0.0; DERIVATIVES];
+            for (place, value) in PLACES.into_iter().zip(state.unwrap_or_default()) {
+                corner[place] = value;
             }
+            table.corners.push(corner);
+            table.accepted.push(state.is_some());
         }
         table.difference();
         if !table.cells().any(|c| table.valid(c)) {
@@ -122,10 +211,28 @@ impl Table {
         Ok(table)
     }
 
+    /// Tabulates `law`, which gives the potential at (stretch, twist rad/m, pressure Pa), or none where it has no
+    /// accepted state.
+    pub fn build(grid: Grid, mut law: impl FnMut(f64, f64, f64) -> Option<Jet>) -> Result<Table, TableError> {
+        let states: Vec<_> = grid.all().map(|at| grid.at(at)).map(|[x, y, z]| law(x, y, z)).collect();
+        Table::new(grid, &states)
+    }
+
+    /// The grid.
+    pub fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// What it was made from: [`Table::from_known`] of this is the same to the last bit.
+    pub(crate) fn known(&self) -> impl ExactSizeIterator<Item = Option<[f64; KNOWN]>> + '_ {
+        let keep = |(corner, accepted): (&[f64; DERIVATIVES], &bool)| accepted.then(|| PLACES.map(|at| corner[at]));
+        self.corners.iter().zip(&self.accepted).map(keep)
+    }
+
     /// The potential at (stretch, twist rad/m, pressure Pa).
     pub fn jet(&self, stretch: f64, twist: f64, pressure: f64) -> Result<Jet, LawError> {
         let outside = LawError::OutsideTable { stretch, twist, pressure };
-        let x = [stretch, twist, pressure];
+        let x = self.grid.skewed([stretch, twist, pressure]);
         let mut cell = [0; 3];
         let mut weights = [[[0.0; 6]; 3]; 3];
         for d in 0..3 {
@@ -137,7 +244,7 @@ impl Table {
             return Err(outside);
         }
         // Sums over pressure, then twist, then stretch; the index of each sum is the order of the derivative.
-        let mut jet = [[[0.0; 3]; 3]; 3];
+        let mut sums = [[[0.0; 3]; 3]; 3];
         for ci in 0..2 {
             for a in 0..3 {
                 let mut plane = [[0.0; 3]; 3];
@@ -145,7 +252,7 @@ impl Table {
                     for b in 0..3 {
                         let mut line = [0.0; 3];
                         for ck in 0..2 {
-                            let corner = &self.corners[self.index([cell[0] + ci, cell[1] + cj, cell[2] + ck])];
+                            let corner = &self.corners[self.grid.index([cell[0] + ci, cell[1] + cj, cell[2] + ck])];
                             for c in 0..3 {
                                 let value = corner[9 * a + 3 * b + c];
                                 for (sum, w) in line.iter_mut().zip(&weights[2]) {
@@ -160,7 +267,7 @@ impl Table {
                         }
                     }
                 }
-                for (block, w) in jet.iter_mut().zip(&weights[0]) {
+                for (block, w) in sums.iter_mut().zip(&weights[0]) {
                     for (row, from) in block.iter_mut().zip(plane) {
                         for (sum, value) in row.iter_mut().zip(from) {
                             *sum += w[3 * ci + a] * value;
@@ -169,14 +276,8 @@ impl Table {
                 }
             }
         }
-        let [h, k, l] = self.axes.map(|a| 1.0 / a.spacing());
-        let d = |a: usize, b: usize, c: usize| jet[a][b][c] * h.powi(a as i32) * k.powi(b as i32) * l.powi(c as i32);
-        let (xy, xz, yz) = (d(1, 1, 0), d(1, 0, 1), d(0, 1, 1));
-        Ok(Jet {
-            value: jet[0][0][0],
-            gradient: Vector3::new(d(1, 0, 0), d(0, 1, 0), d(0, 0, 1)),
-            hessian: Matrix3::new(d(2, 0, 0), xy, xz, xy, d(0, 2, 0), yz, xz, yz, d(0, 0, 2)),
-        })
+        let inverse = self.axes.map(|a| 1.0 / a.spacing());
+        Ok(jet(|a, b, c| sums[a][b][c], inverse).skewed(self.grid.skew.map(|s| -s)))
     }
 
     /// The share of the grid's cells in which the table answers, 0 to 1.
@@ -188,9 +289,8 @@ impl Table {
     /// Compares with `law` at the middle of every `stride`-th valid cell, where the interpolant is worst.
     pub fn deviation(&self, stride: usize, mut law: impl FnMut(f64, f64, f64) -> Option<Jet>) -> TableDeviation {
         let mut worst = TableDeviation::default();
-        let middle = |axis: &Axis, i: usize| axis.value(i) + 0.5 * axis.spacing();
         for cell in self.cells().filter(|c| self.valid(*c)).step_by(stride.max(1)) {
-            let [x, y, z] = [0, 1, 2].map(|d| middle(&self.axes[d], cell[d]));
+            let [x, y, z] = self.grid.middle(cell);
             if let (Ok(got), Some(want)) = (self.jet(x, y, z), law(x, y, z)) {
                 worst.gradient = worst.gradient.sup(&(got.gradient - want.gradient).abs());
                 worst.hessian = worst.hessian.sup(&(got.hessian - want.hessian).abs());
@@ -200,17 +300,13 @@ impl Table {
         worst
     }
 
-    fn index(&self, at: [usize; 3]) -> usize {
-        (at[0] * self.axes[1].points + at[1]) * self.axes[2].points + at[2]
-    }
-
     fn cells(&self) -> impl Iterator<Item = [usize; 3]> + use<> {
         let [n, m, l] = self.axes.map(|a| a.points - 1);
         (0..n * m * l).map(move |c| [c / (m * l), c / l % m, c % l])
     }
 
     fn valid(&self, cell: [usize; 3]) -> bool {
-        (0..8).all(|c| self.accepted[self.index([cell[0] + (c >> 2), cell[1] + (c >> 1 & 1), cell[2] + (c & 1)])])
+        (0..8).all(|c| self.accepted[self.grid.index([cell[0] + (c >> 2), cell[1] + (c >> 1 & 1), cell[2] + (c & 1)])])
     }
 
     /// Fills the mixed derivatives of higher order from lower ones, along the axis where one order is missing.
@@ -246,7 +342,7 @@ impl Table {
                 let line = |i: usize| {
                     let mut other = at;
                     other[axis] = i;
-                    self.index(other)
+                    self.grid.index(other)
                 };
                 // The accepted neighbours, as evenly about the point as there are.
                 let (mut first, mut last) = (at[axis], at[axis]);
@@ -270,18 +366,23 @@ impl Table {
     }
 }
 
-/// The derivatives that a law gives, times the spacings.
-fn known(jet: &Jet, spacing: [f64; 3]) -> [f64; DERIVATIVES] {
-    let mut d = [0.0; DERIVATIVES];
-    d[0] = jet.value;
-    let place = [9, 3, 1];
-    for i in 0..3 {
-        d[place[i]] = jet.gradient[i] * spacing[i];
-        for j in 0..3 {
-            d[place[i] + place[j]] = jet.hessian[(i, j)] * spacing[i] * spacing[j];
-        }
+/// The derivatives that a law gives, times the spacings, in the order of [`PLACES`].
+fn known(jet: &Jet, [h, k, l]: [f64; 3]) -> [f64; KNOWN] {
+    let (g, d) = (jet.gradient, jet.hessian);
+    let second = [d.m11 * h * h, d.m12 * h * k, d.m13 * h * l, d.m22 * k * k, d.m23 * k * l, d.m33 * l * l];
+    let [xx, xy, xz, yy, yz, zz] = second;
+    [jet.value, g.x * h, g.y * k, g.z * l, xx, xy, xz, yy, yz, zz]
+}
+
+/// The jet of derivatives `d(a, b, c)` in units of the spacings, whose inverses are given.
+fn jet(d: impl Fn(usize, usize, usize) -> f64, [h, k, l]: [f64; 3]) -> Jet {
+    let (xy, xz, yz) = (d(1, 1, 0) * h * k, d(1, 0, 1) * h * l, d(0, 1, 1) * k * l);
+    let (xx, yy, zz) = (d(2, 0, 0) * h * h, d(0, 2, 0) * k * k, d(0, 0, 2) * l * l);
+    Jet {
+        value: d(0, 0, 0),
+        gradient: Vector3::new(d(1, 0, 0) * h, d(0, 1, 0) * k, d(0, 0, 1) * l),
+        hessian: Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz),
     }
-    d
 }
 
 /// Weight of node `i` in the derivative at node `at` of the polynomial through the nodes `first..=last` (spacing 1).
@@ -340,8 +441,12 @@ mod tests {
         Axis { from: -1.0, to: 1.0, points }
     }
 
+    fn grid(points: [usize; 3]) -> Grid {
+        Grid::straight(axis(points[0]), axis(points[1]), axis(points[2]))
+    }
+
     fn table(points: usize) -> Table {
-        Table::build(axis(points), axis(points), axis(points), |x, y, z| Some(smooth(x, y, z))).unwrap()
+        Table::build(grid([points; 3]), |x, y, z| Some(smooth(x, y, z))).unwrap()
     }
 
     #[test]
@@ -385,7 +490,7 @@ mod tests {
             let v = Vector3::new(x, y, z);
             Jet { value: 0.5 * v.dot(&(k * v)), gradient: k * v, hessian: k }
         };
-        let t = Table::build(axis(5), axis(6), axis(7), |x, y, z| Some(law(x, y, z))).unwrap();
+        let t = Table::build(grid([5, 6, 7]), |x, y, z| Some(law(x, y, z))).unwrap();
         let off = t.deviation(1, |x, y, z| Some(law(x, y, z)));
         assert!(off.points == 4 * 5 * 6 && off.gradient.amax() < 1e-13 && off.hessian.amax() < 1e-12, "{off:?}");
     }
@@ -394,7 +499,7 @@ mod tests {
     fn outside_and_where_the_law_refused_it_refuses_by_name() {
         // Accepted below a slanted plane only.
         let inside = |x: f64, _: f64, z: f64| x + z < 0.6;
-        let t = Table::build(axis(9), axis(5), axis(9), |x, y, z| inside(x, y, z).then(|| smooth(x, y, z))).unwrap();
+        let t = Table::build(grid([9, 5, 9]), |x, y, z| inside(x, y, z).then(|| smooth(x, y, z))).unwrap();
         assert!((0.5..0.8).contains(&t.coverage()), "{}", t.coverage());
         assert!(matches!(t.jet(0.9, 0.0, 0.9), Err(LawError::OutsideTable { .. })));
         assert!(matches!(t.jet(1.01, 0.0, -0.9), Err(LawError::OutsideTable { .. })));
@@ -402,10 +507,29 @@ mod tests {
         // The valid cells are as good as those of a whole table, within the one-sided differences' constants.
         let off = t.deviation(1, |x, y, z| Some(smooth(x, y, z)));
         assert!(off.points > 50 && off.hessian.amax() < 5e-2, "{off:?}");
-        let none = Table::build(axis(5), axis(5), axis(5), |_, _, _| None);
-        assert_eq!(none.unwrap_err(), TableError::Empty);
-        let flat = Axis { from: 1.0, to: 1.0, points: 5 };
-        assert!(matches!(Table::build(axis(5), flat, axis(5), |_, _, _| None), Err(TableError::Axis(_))));
-        assert!(matches!(Table::build(axis(4), axis(5), axis(5), |_, _, _| None), Err(TableError::Axis(_))));
+        assert_eq!(Table::build(grid([5; 3]), |_, _, _| None).unwrap_err(), TableError::Empty);
+        let flat = Grid { twist: Axis { from: 1.0, to: 1.0, points: 5 }, ..grid([5; 3]) };
+        assert!(matches!(Table::build(flat, |_, _, _| None), Err(TableError::Axis(_))));
+        assert!(matches!(Table::build(grid([4, 5, 5]), |_, _, _| None), Err(TableError::Axis(_))));
+        assert!(matches!(Table::new(grid([5; 3]), &[None; 7]), Err(TableError::States { states: 7, .. })));
+    }
+
+    #[test]
+    fn a_skewed_table_is_of_the_same_order_and_gives_back_what_it_was_made_from() {
+        let worst = |points: usize| {
+            let skewed = Grid { skew: [0.4, -0.3], ..grid([points; 3]) };
+            let table = Table::build(skewed, |x, y, z| Some(smooth(x, y, z))).unwrap();
+            for at in skewed.all() {
+                let [x, y, z] = skewed.at(at);
+                let (got, want) = (table.jet(x, y, z).unwrap(), smooth(x, y, z));
+                assert!((got.hessian - want.hessian).amax() < 1e-11 && (got.gradient - want.gradient).amax() < 1e-12);
+            }
+            let again = Table::from_known(skewed, table.known()).unwrap();
+            assert!(again.corners == table.corners && again.accepted == table.accepted);
+            table.deviation(1, |x, y, z| Some(smooth(x, y, z)))
+        };
+        let (coarse, fine) = (worst(9), worst(17));
+        assert!((coarse.gradient.amax() / fine.gradient.amax()).log2() > 4.7, "{coarse:?} {fine:?}");
+        assert!((coarse.hessian.amax() / fine.hessian.amax()).log2() > 3.7, "{coarse:?} {fine:?}");
     }
 }

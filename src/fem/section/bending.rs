@@ -20,7 +20,7 @@ use super::saddle::{EXACT, Saddle};
 use super::{Section, SectionError, State};
 
 /// Second derivatives of the potential per reference length by curvature and shear strain (per reference length).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Bending {
     /// EI at vanishing shear strain, N m2.
     pub bending: f64,

@@ -36,6 +36,20 @@ impl Default for Mesh {
 }
 
 impl Mesh {
+    /// Every length divided in two, as far as the ranges allow.
+    pub fn refined(self) -> Mesh {
+        match self {
+            Mesh::Counted { radial, strip, gap, growth } => {
+                let twice = |count: usize, most: usize| (2 * count).min(most);
+                let growth = growth.sqrt();
+                Mesh::Counted { radial: twice(radial, 32), strip: twice(strip, 64), gap: twice(gap, 64), growth }
+            }
+            Mesh::Graded { strip, growth } => {
+                Mesh::Graded { strip: (2 * strip).min(16), growth: growth.sqrt().max(1.2) }
+            }
+        }
+    }
+
     /// Checks the ranges.
     pub(super) fn validated(self) -> Result<Mesh, SectionError> {
         let valid = match self {

@@ -46,6 +46,7 @@ mod mesh;
 mod newton;
 mod path;
 mod phased;
+mod reach;
 mod saddle;
 #[cfg(test)]
 mod tests;

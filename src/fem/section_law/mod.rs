@@ -1,0 +1,265 @@
+//! What a rod is made of, taken from the section with its discrete fibres: the two meet here.
+//!
+//! The potential psi0 of a straight piece at held stretch and twist under pressure is what a [`Section`] minimises; a
+//! [`Table`] of it over all that the FREEs of a module can reach is the rod's law, exact for straight rods of any
+//! finite strain. Bending and shear are the second variation about the free state of each pressure
+//! ([`Section::bending`]). Pressure enters through these potentials and nowhere else.
+//!
+//! A FREE and its mirror image share one table, kept for the right-handed one.
+
+mod bytes;
+mod sample;
+
+pub use bytes::BytesError;
+
+use std::sync::Arc;
+
+use nalgebra::Vector2;
+use rayon::prelude::*;
+use thiserror::Error;
+
+use self::sample::{Probe, Row};
+use super::ends::{End, Ends, Equilibrium};
+use super::linear::LinearSection;
+use super::rod::{Axis, Grid, Law, Profile, Straight, Table, TableError};
+use super::section::{Bending, Mesh, Section, SectionError};
+use super::tube::{Tube, TubeError};
+
+/// Points of the grid along stretch, twist and pressure.
+const POINTS: [usize; 3] = [7, 9, 9];
+
+/// Half of the grid's range of stretches, and what is added to it per stretch under the highest pressure, which is no
+/// linear function of the pressure.
+const REACH: f64 = 0.05;
+const BEND: f64 = 0.25;
+/// Pressures at which lateral stiffness is computed.
+const LATERAL: usize = 5;
+/// Share of a free tube's limit pressure up to which it is.
+const NEARLY: f64 = 0.92;
+
+/// Closed, free to stretch, held from turning.
+const UNTWISTED: Ends = Ends { axial: End::Loaded(0.0), torsion: End::Held(0.0) };
+
+/// Gauge pressure (Pa) and lateral stiffness.
+type Lateral = [(f64, Bending); LATERAL];
+
+/// What a law is wanted for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Request {
+    /// The tube, of either hand.
+    pub tube: Tube,
+    /// The section's mesh.
+    pub mesh: Mesh,
+    /// Highest gauge pressure, Pa; the lowest is 0.
+    pub pressure: f64,
+    /// Largest twist either way, rad per reference metre.
+    pub twist: f64,
+}
+
+/// Why there is no law.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum SectionLawError {
+    /// Pressure or twist out of range.
+    #[error("{what} of a law is {value}: {rule}")]
+    Range {
+        /// What.
+        what: &'static str,
+        /// Its value.
+        value: f64,
+        /// The rule.
+        rule: &'static str,
+    },
+    /// No tube.
+    #[error(transparent)]
+    Tube(#[from] TubeError),
+    /// The section.
+    #[error(transparent)]
+    Section(#[from] SectionError),
+    /// The table.
+    #[error(transparent)]
+    Table(#[from] TableError),
+}
+
+/// The law of a tube's section.
+#[derive(Clone, Debug)]
+pub struct SectionLaw {
+    request: Request,
+    table: Arc<Table>,
+    /// Of the right-handed tube's free state, pressures rising.
+    lateral: Lateral,
+    errors: Errors,
+}
+
+/// How far a law may be from the section's, and the section from a converged one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Errors {
+    /// Largest error of interpolation in the middles of some cells: of the stretch that a given load makes.
+    pub stretch: f64,
+    /// The same of the twist, rad/m.
+    pub twist: f64,
+    /// States between the grid's points that were compared.
+    pub states: usize,
+    /// The mesh's relative error of what a blocked tube does at half of the pressure; infinite where one of the meshes compared folds.
+    pub mesh: f64,
+    /// What it means that bending stiffness follows the pressure alone: its relative difference between the free state
+    /// and the one held from turning, at the highest pressure at which it is computed.
+    pub bending: f64,
+}
+
+impl Request {
+    /// Checks everything; the tube becomes the right-handed one of its pair.
+    fn validated(self) -> Result<Request, SectionLawError> {
+        let range = |what, value, rule| Err(SectionLawError::Range { what, value, rule });
+        let tube = self.tube.validated()?;
+        if !(self.pressure > 0.0 && self.pressure.is_finite()) {
+            return range("the highest pressure (Pa)", self.pressure, "must be positive and finite");
+        }
+        if !(self.twist > 0.0 && self.twist.is_finite()) {
+            return range("the largest twist (rad/m)", self.twist, "must be positive and finite");
+        }
+        Ok(Request { tube: Tube { gamma: tube.gamma.abs(), ..tube }, ..self })
+    }
+}
+
+/// The grid of `request`: about the states that a section held from turning, but free to stretch, has under pressure, since
+/// that is what the others of a module make of a FREE.
+fn grid(request: &Request, section: &Section) -> Result<Grid, SectionLawError> {
+    let stiffness = LinearSection::new(&request.tube)?.stiffness;
+    let mut state = section.rest()?;
+    // Its stretch at the highest pressure, or at half of it, or at a quarter.
+    let mut slope = 0.0;
+    for share in [0.25, 0.5, 1.0] {
+        let pressure = share * request.pressure;
+        let Some(found) = section.reach(&mut state, pressure, UNTWISTED)? else { break };
+        slope = (found.stretch - 1.0) / pressure;
+    }
+    let reach = REACH + BEND * (slope * request.pressure).abs();
+    let [stretch, twist, pressure] = POINTS;
+    Ok(Grid {
+        stretch: Axis { from: 1.0 - reach, to: 1.0 + reach, points: stretch },
+        twist: Axis { from: -request.twist, to: request.twist, points: twist },
+        pressure: Axis { from: 0.0, to: request.pressure, points: pressure },
+        skew: [-stiffness[(0, 1)] / stiffness[(0, 0)], slope],
+    })
+}
+
+impl SectionLaw {
+    /// Solves the section on the grid of `request`.
+    ///
+    /// # Errors
+    /// Where the tube or the ranges are none, or no cell of the grid has accepted states.
+    pub fn build(request: &Request) -> Result<SectionLaw, SectionLawError> {
+        let request = request.validated()?;
+        let section = Section::new(&request.tube, request.mesh)?;
+        let grid = grid(&request, &section)?;
+        let rows: Vec<Row> = (0..grid.twist.points)
+            .into_par_iter()
+            .map(|j| Row::sample(&section, &grid, j))
+            .collect::<Result<_, _>>()?;
+        let mut states = vec![None; grid.points()];
+        for (j, row) in rows.iter().enumerate() {
+            for (i, k, jet) in &row.states {
+                states[grid.index([*i, j, *k])] = Some(*jet);
+            }
+        }
+        let table = Table::new(grid, &states)?;
+        let linear = LinearSection::new(&request.tube)?;
+        let lateral = lateral(&section, request.pressure)?;
+        let mut errors = Errors {
+            mesh: mesh_error(&request, &section)?,
+            bending: bending_error(&section, &lateral)?,
+            ..Errors::default()
+        };
+        for Probe { at: [stretch, twist, pressure], jet } in rows.iter().flat_map(|row| &row.probes) {
+            let Ok(found) = table.jet(*stretch, *twist, *pressure) else { continue };
+            let off = motion(&linear, &(found.gradient - jet.gradient).xy()).abs();
+            errors.stretch = errors.stretch.max(off.x);
+            errors.twist = errors.twist.max(off.y);
+            errors.states += 1;
+        }
+        Ok(SectionLaw { request, table: Arc::new(table), lateral, errors })
+    }
+
+    /// Whether this law answers `request`, of either hand.
+    pub fn serves(&self, request: &Request) -> bool {
+        request.validated().is_ok_and(|request| request == self.request)
+    }
+
+    /// The law of a rod of the winding angle `gamma`, whose sign alone counts.
+    pub fn law(&self, gamma: f64) -> Law {
+        let profile = |of: fn(&Bending) -> f64| {
+            let last = self.lateral[LATERAL - 1].0;
+            Profile::through(self.lateral.map(|(pressure, b)| (pressure, of(&b)))).constant_above(last)
+        };
+        Law {
+            straight: Straight::Table(self.table.clone()),
+            bending: profile(|b| b.bending),
+            shear: profile(|b| b.shear),
+            coupling: profile(|b| b.coupling),
+            mirrored: gamma < 0.0,
+        }
+    }
+
+    /// psi0.
+    pub fn table(&self) -> &Table {
+        &self.table
+    }
+
+    /// Gauge pressures (Pa, rising) and the right-handed tube's lateral stiffness there, in its free state.
+    pub fn lateral(&self) -> &[(f64, Bending)] {
+        &self.lateral
+    }
+
+    /// How far it may be off.
+    pub fn errors(&self) -> Errors {
+        self.errors
+    }
+}
+
+/// (stretch, twist rad/m) that `load` (N, N m) makes of the tube at rest.
+fn motion(linear: &LinearSection, load: &Vector2<f64>) -> Vector2<f64> {
+    linear.stiffness.lu().solve(load).unwrap_or(Vector2::repeat(f64::INFINITY))
+}
+
+/// The mesh's relative error of the motion at half of the pressure, against a finer mesh.
+fn mesh_error(request: &Request, section: &Section) -> Result<f64, SectionLawError> {
+    let pressure = 0.5 * request.pressure;
+    let fine = Section::new(&request.tube, request.mesh.refined())?;
+    let [coarse, fine] = [section, &fine].map(|section| {
+        let mut state = section.rest()?;
+        section.reach(&mut state, pressure, Ends::BLOCKED)
+    });
+    let linear = LinearSection::new(&request.tube)?;
+    let of = |e: &Equilibrium| {
+        let [stretch, twist] = motion(&linear, &Vector2::new(e.force, e.moment)).into();
+        Vector2::new(stretch, twist * request.tube.outer_radius())
+    };
+    // Where one of them has folded already, nothing is known.
+    Ok(coarse?.zip(fine?).map_or(f64::INFINITY, |(a, b)| (of(&a) - of(&b)).norm() / of(&b).norm()))
+}
+
+/// See [`Errors::bending`].
+fn bending_error(section: &Section, lateral: &Lateral) -> Result<f64, SectionLawError> {
+    let (pressure, free) = &lateral[LATERAL - 1];
+    let mut state = section.rest()?;
+    let held = match section.reach(&mut state, *pressure, UNTWISTED)? {
+        Some(_) => section.bending(&state)?.pure_bending(),
+        None => f64::INFINITY,
+    };
+    Ok((held / free.pure_bending() - 1.0).abs())
+}
+
+/// Lateral stiffness of the free state at evenly spaced pressures up to `pressure`, or up to nearly the limit of the free tube: close to it
+/// the free tube swells without bound, which in a module the others prevent.
+fn lateral(section: &Section, pressure: f64) -> Result<Lateral, SectionLawError> {
+    let limit = section.limit_pressure(Ends::FREE, pressure)?;
+    let last = limit.map_or(pressure, |limit| NEARLY * limit.pressure);
+    let mut state = section.rest()?;
+    let mut found = Lateral::default();
+    for (k, entry) in found.iter_mut().enumerate() {
+        let at = last * k as f64 / (LATERAL - 1) as f64;
+        section.advance(&mut state, at, Ends::FREE)?;
+        *entry = (at, section.bending(&state)?);
+    }
+    Ok(found)
+}
