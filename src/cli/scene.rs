@@ -17,7 +17,7 @@ use crate::model::GRAVITY;
 use crate::units::{Acceleration, Angle, Force, Length, Mass, PASCAL_PER_PSI, Pressure};
 
 /// Laws reach at least up to here, psi, and beyond to whole psi, so that most questions share one.
-const RANGE: f64 = 7.0;
+const RANGE: f64 = 10.0;
 /// Distance of neighbouring axes where neither flags nor rig say it, m: the paper does not state it.
 const SPACING: f64 = 0.02;
 

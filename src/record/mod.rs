@@ -44,6 +44,9 @@ mod sheet;
 mod signals;
 mod stiffness;
 mod tube;
+mod views;
+mod way;
+mod workspace;
 
 pub use bench::{BenchRow, BenchSuite, Curve};
 pub use columns::column_name;
@@ -74,3 +77,5 @@ pub use sheet::Sheet;
 pub use signals::Signals;
 pub use stiffness::stiffness_sheet;
 pub use tube::TubeDocument;
+pub use way::way_sheet;
+pub use workspace::{ModuleDrawing, workspace_recording, workspace_sheet};
