@@ -91,6 +91,11 @@ impl SceneArgs {
         tubes.iter().map(of).collect()
     }
 
+    /// Fastest change of the pressure of the FREE of rig.toml, Pa/s.
+    pub fn slew(&self, context: &Context) -> Result<f64, Failure> {
+        self.tube.slew(context)
+    }
+
     fn magnitudes(&self) -> Result<(), Failure> {
         match self.tube.gammas().iter().find(|gamma| gamma.si() < 0.0) {
             None => Ok(()),

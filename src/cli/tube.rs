@@ -56,6 +56,13 @@ impl TubeArgs {
         &self.gamma
     }
 
+    /// Fastest change of the FREE's pressure that rig.toml allows, Pa/s.
+    pub fn slew(&self, context: &Context) -> Result<f64, Failure> {
+        let rig = Rig::load(&context.rig)?;
+        let index = subject(&rig, self.free.as_deref())?;
+        Ok(rig.control.frees[index].limits.slew)
+    }
+
     /// The tube and its length, m. What neither the flags nor the FREE's calibration say is the reference FREE's, and is
     /// told.
     pub fn tube(&self, context: &Context) -> Result<(Tube, f64), Failure> {

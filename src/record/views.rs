@@ -155,12 +155,7 @@ type Area<'a> = DrawingArea<SVGBackend<'a>, plotters::coord::Shift>;
 
 /// Ends of the curves: a dot, or a cross; and the indicators, each as near to its end as the others let it, outwards
 /// from `middle` where it can.
-fn indicators(
-    area: &Area<'_>,
-    chart: &Chart<'_, '_>,
-    ends: &[(&Curve, (i32, i32))],
-    middle: (i32, i32),
-) -> Result<()> {
+fn indicators(area: &Area<'_>, chart: &Chart<'_, '_>, ends: &[(&Curve, (i32, i32))], middle: (i32, i32)) -> Result<()> {
     let (across, down) = chart.plotting_area().get_pixel_range();
     let mut taken: Vec<(i32, i32)> = Vec::new();
     let dots: Vec<(i32, i32)> = ends.iter().map(|(_, at)| *at).collect();

@@ -7,7 +7,9 @@ use rerun::blueprint::{
     Blueprint, BlueprintPanel, ContainerLike, Horizontal, SelectionPanel, Spatial3DView, TimePanel,
     components::PanelState,
 };
-use rerun::{Color, LineStrips3D, Points3D, RecordingStream, RecordingStreamBuilder, TimeColumn, Transform3D, ViewCoordinates};
+use rerun::{
+    Color, LineStrips3D, Points3D, RecordingStream, RecordingStreamBuilder, TimeColumn, Transform3D, ViewCoordinates,
+};
 
 use super::plot::{Line, Plot};
 use super::rerun_sink::APPLICATION_ID;
@@ -184,7 +186,8 @@ impl ModuleDrawing<'_> {
             .with_show_labels(false);
         stream.log_static(format!("{entity}/path"), &line)?;
         let half = (0.5 * self.spacing + self.radius) as f32;
-        let corners = [[half, half, 0.0], [-half, half, 0.0], [-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0]];
+        let corners =
+            [[half, half, 0.0], [-half, half, 0.0], [-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0]];
         let strips = [corners.to_vec(), vec![[0.0; 3], [half, 0.0, 0.0]], vec![[0.0; 3], [0.0, 0.0, half]]];
         let plate = LineStrips3D::new(strips).with_radii([thin]).with_colors([color(rgb)]);
         stream.log_static(format!("{entity}/plate"), &plate)?;

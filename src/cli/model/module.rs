@@ -162,8 +162,9 @@ fn checked(rows: &[[f64; 4]]) -> Result<f64, Failure> {
             let row = if rows.len() > 1 { format!("row {}: ", i + 1) } else { String::new() };
             let shown = Pressure::pascals(*pressure);
             let error = anyhow!("{row}pressure of {free} is {shown:.3}: a module's laws begin at 0");
-            return Err(Failure::usage(error)
-                .remedy("give pressures from 0 up; `freerig model single` takes negative ones"));
+            return Err(
+                Failure::usage(error).remedy("give pressures from 0 up; `freerig model single` takes negative ones")
+            );
         }
     }
     Ok(rows.iter().flatten().copied().fold(0.0, f64::max))
@@ -202,7 +203,8 @@ impl Estimates {
             );
             return Err(Failure::failed(error).remedy("give a larger --tolerance, or ask for `--fidelity rod`"));
         }
-        self.reason = Some(format!("the cheapest within {tolerance}; estimated error: rod {}", percent(Some(estimate))));
+        self.reason =
+            Some(format!("the cheapest within {tolerance}; estimated error: rod {}", percent(Some(estimate))));
         Ok(())
     }
 
@@ -258,8 +260,18 @@ fn turn_and_tilt([w, x, y, z]: [f64; 4]) -> (f64, f64) {
 
 fn text(rows: &[Row], scene: &ModuleScene, estimates: &Estimates) -> String {
     let mut table = Table::new(&[
-        ">A psi", ">B psi", ">C psi", ">D psi", ">x mm", ">y mm", ">z mm", ">turn deg", ">tilt deg", "stable",
-        ">clearance mm", "nearest",
+        ">A psi",
+        ">B psi",
+        ">C psi",
+        ">D psi",
+        ">x mm",
+        ">y mm",
+        ">z mm",
+        ">turn deg",
+        ">tilt deg",
+        "stable",
+        ">clearance mm",
+        "nearest",
     ]);
     for row in rows {
         let mm = |i: usize| number(row.position_m.map(|x| 1e3 * x[i]), 3);
@@ -284,9 +296,7 @@ fn text(rows: &[Row], scene: &ModuleScene, estimates: &Estimates) -> String {
     }
     let mut text = format!("rod model\n\n{table}\n");
     if let [Row { resultants: Some(resultants), .. }] = rows {
-        let mut table = Table::new(&[
-            "on the plate", ">Fx N", ">Fy N", ">Fz N", ">Mx mN m", ">My mN m", ">Mz mN m",
-        ]);
+        let mut table = Table::new(&["on the plate", ">Fx N", ">Fy N", ">Fz N", ">Mx mN m", ">My mN m", ">Mz mN m"]);
         for Resultant { free, force_n, moment_nm } in resultants {
             let force = force_n.map(|f| number(Some(f), 4));
             let moment = moment_nm.map(|m| number(Some(1e3 * m), 3));
