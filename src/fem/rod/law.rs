@@ -82,7 +82,7 @@ pub enum Straight {
 }
 
 /// Most points that a [`Profile`] goes through.
-const PROFILE: usize = 5;
+const PROFILE: usize = 7;
 
 /// A polynomial of the pressure, in Newton's form.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -128,7 +128,7 @@ impl Profile {
         Profile::through([(0.0, value)])
     }
 
-    /// Through one to five (pressure Pa, value) of different pressures: of the least degree that does.
+    /// Through one to seven (pressure Pa, value) of different pressures: of the least degree that does.
     pub fn through<const N: usize>(points: [(f64, f64); N]) -> Profile {
         const { assert!(1 <= N && N <= PROFILE) };
         let (mut nodes, mut coefficients) = ([0.0; PROFILE], [0.0; PROFILE]);
