@@ -45,6 +45,13 @@ impl fmt::Display for End {
     }
 }
 
+impl fmt::Display for Ended {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [a, b, c, d] = self.pressures;
+        write!(f, "the module {} at {a:.0}, {b:.0}, {c:.0}, {d:.0} Pa", self.end)
+    }
+}
+
 impl Rest<'_> {
     /// The stable equilibrium at `to` (Pa), followed from `from` along the straight way between; else where the way ends.
     pub fn onward(&self, from: &State, to: &[f64; 4]) -> Result<State, Box<Ended>> {
@@ -102,7 +109,8 @@ impl Rest<'_> {
                 Ended { end, pressures: at(critical.mu) }
             }
             Err(ModuleError::Ends { fraction, cause: Some(cause) }) => {
-                let end = if matches!(*cause, ModuleError::Contact { .. }) { End::Contact } else { End::Domain(*cause) };
+                let end =
+                    if matches!(*cause, ModuleError::Contact { .. }) { End::Contact } else { End::Domain(*cause) };
                 Ended { end, pressures: at(fraction) }
             }
             // The way is there and stable to the arc's eye, or the arc itself fails: what was said first stands.

@@ -26,8 +26,8 @@ use crate::fem::module::State;
 const REACHED: f64 = 1e-5;
 /// Steps towards a target; far ones take ten, projections along a curved edge the most.
 const STEPS: usize = 80;
-/// A step that promises less than this share of the squared error's half is none.
-const FLAT: f64 = 1e-7;
+/// A step that promises to come nearer by less than this share of that is none.
+const FLAT: f64 = 0.1;
 /// Pa: what no regulator can do.
 const FINEST: f64 = 1.0;
 /// Pa, the widest step from where a search begins.
@@ -42,6 +42,25 @@ const DIFFERENCE: f64 = 200.0;
 const SPEND: f64 = 7e3;
 /// Steps along the freedoms where nothing is known yet; a warm start makes one.
 const ROUNDS: usize = 16;
+
+/// Where a search that knows nothing begins, in halves of the limits: rest, the two turns, and bends all round.
+const STARTS: [[f64; 4]; 11] = [
+    [0.0, 0.0, 0.0, 0.0],
+    [1.0, 0.0, 1.0, 0.0],
+    [0.0, 1.0, 0.0, 1.0],
+    [1.0, 0.0, 0.0, 0.0],
+    [0.0, 0.0, 1.0, 0.0],
+    [0.0, 1.0, 0.0, 0.0],
+    [0.0, 0.0, 0.0, 1.0],
+    [1.0, 1.0, 0.0, 0.0],
+    [0.0, 0.0, 1.0, 1.0],
+    [0.0, 1.0, 1.0, 0.0],
+    [1.0, 0.0, 0.0, 1.0],
+];
+/// Searches that agree are enough when there are so many.
+const AGREED: usize = 3;
+/// Pa: answers that differ by less agree.
+const ALIKE: f64 = 100.0;
 
 /// Pressures and what they do.
 #[derive(Clone, Debug)]
@@ -87,34 +106,20 @@ impl std::fmt::Display for Shortfall {
         match self {
             Shortfall::Bounds => write!(f, "pressures at their bounds would have to go beyond them"),
             Shortfall::Margin => write!(f, "the least margin is in the way"),
-            Shortfall::Ends(ended) => write!(f, "on the way the module {}", ended.end),
+            Shortfall::Ends(ended) => write!(f, "on the way {ended}"),
             Shortfall::Freedom => write!(f, "four pressures cannot move the plate that way"),
         }
     }
 }
 
-/// The pressures for `target`, wherever the module is: from rest and from several states bent and turned by half of
-/// what the limits allow, the best of what they lead to. The slew rate does not count.
+/// The pressures for `target`, wherever the module is: from rest and from states turned and bent by half of what the
+/// limits allow, the best of what they lead to; enough when three lead to the same. The slew rate does not count.
 ///
 /// # Errors
 /// A target or limits that are none; pressures that cannot be reached from rest. Not a target out of reach.
 pub fn cold(rest: &Rest<'_>, target: &Target, limits: &Limits) -> Result<Inverse, PlanError> {
     target.check(rest)?;
     limits.check()?;
-    // One at a time, neighbours, the two diagonals, and nothing.
-    const STARTS: [[f64; 4]; 11] = [
-        [0.0, 0.0, 0.0, 0.0],
-        [1.0, 0.0, 0.0, 0.0],
-        [0.0, 1.0, 0.0, 0.0],
-        [0.0, 0.0, 1.0, 0.0],
-        [0.0, 0.0, 0.0, 1.0],
-        [1.0, 1.0, 0.0, 0.0],
-        [0.0, 1.0, 1.0, 0.0],
-        [0.0, 0.0, 1.0, 1.0],
-        [1.0, 0.0, 0.0, 1.0],
-        [1.0, 0.0, 1.0, 0.0],
-        [0.0, 1.0, 0.0, 1.0],
-    ];
     let window = limits.around(&[0.0; FREES], f64::INFINITY);
     let (mut found, mut first_end, mut equilibria) = (Vec::new(), None, 0);
     for start in STARTS {
@@ -132,6 +137,9 @@ pub fn cold(rest: &Rest<'_>, target: &Target, limits: &Limits) -> Result<Inverse
         let at = search.spend(at, ROUNDS);
         equilibria += search.equilibria;
         found.push(search.answer(at, cause));
+        if agreeing(&found) >= AGREED {
+            break;
+        }
     }
     // Those that reach it by margin, then the others by what they are off by.
     found.sort_by(|a, b| {
@@ -192,6 +200,16 @@ pub(super) fn towards(rest: &Rest<'_>, target: &Target, limits: &Limits, start: 
     let mut search = Search::new(rest, target, limits, window);
     let Some(begin) = search.point(start.clone()) else { return Err(PlanError::NoStart(End::Limit)) };
     Ok(search.approach(begin).0.state)
+}
+
+/// How many agree with the last of `found`.
+fn agreeing(found: &[Inverse]) -> usize {
+    let Some(last) = found.last() else { return 0 };
+    let apart = |other: &Inverse| {
+        let pairs = last.pressures.iter().zip(&other.pressures);
+        pairs.fold(0.0, |far, (a, b)| f64::max(far, (a - b).abs()))
+    };
+    found.iter().filter(|other| apart(other) < ALIKE).count()
 }
 
 /// Two equilibria at the same pressures are one.
@@ -274,7 +292,7 @@ impl<'a> Search<'a> {
             };
             let linear = (at.residual + at.jacobian * step).norm_squared();
             let promised = 0.5 * (at.residual.norm_squared() - linear);
-            if promised <= FLAT * 0.5 * at.residual.norm_squared() || step.amax() < FINEST {
+            if promised <= FLAT * self.reached * at.residual.norm() || step.amax() < FINEST {
                 break;
             }
             match self.go(&at, &step) {
@@ -363,10 +381,7 @@ impl<'a> Search<'a> {
     fn freedom(&mut self, at: &Point) -> Option<Vector4<f64>> {
         let (low, high) = self.room(at, SPEND);
         let mut jacobian = at.jacobian;
-        let mut held = [false; FREES];
-        for i in 0..FREES {
-            held[i] = high[i] - low[i] < 2.0 * DIFFERENCE;
-        }
+        let mut held: [bool; FREES] = std::array::from_fn(|i| high[i] - low[i] < 2.0 * DIFFERENCE);
         let mut slope = None;
         for _ in 0..FREES {
             for (i, mut column) in jacobian.column_iter_mut().enumerate() {
@@ -398,7 +413,8 @@ impl<'a> Search<'a> {
             }
             let way = uphill.normalize();
             // A channel that this would push out of the box at once is held instead.
-            match (0..FREES).find(|i| way[*i] * if way[*i] > 0.0 { high[*i] } else { low[*i] } < 0.1 * FINEST && way[*i].abs() > 1e-6) {
+            let room = |i: usize| if way[i] > 0.0 { high[i] } else { -low[i] };
+            match (0..FREES).find(|i| way[*i].abs() > 1e-6 && room(*i) < FINEST) {
                 Some(i) => held[i] = true,
                 None => return Some(way),
             }

@@ -29,9 +29,9 @@ pub enum Bound {
 }
 
 impl Limits {
-    /// Between 0 and `high` Pa, at any rate, with a tenth of the stiffness and clearance at rest left.
+    /// Between 0 and `high` Pa, at any rate, with a fifth of the stiffness and clearance at rest left.
     pub fn up_to(high: f64) -> Limits {
-        Limits { low: [0.0; FREES], high: [high; FREES], slew: f64::INFINITY, margin: 0.1 }
+        Limits { low: [0.0; FREES], high: [high; FREES], slew: f64::INFINITY, margin: 0.2 }
     }
 
     /// An error that names the first bound that is none.

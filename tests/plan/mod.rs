@@ -2,7 +2,7 @@
 
 use freerig::fem::linear::LinearSection;
 use freerig::fem::module::{Module, Mount, square};
-use freerig::fem::rod::{Law, Quadratic, Resolution, Rod, Straight};
+use freerig::fem::rod::{Law, Profile, Resolution, Rod, Straight};
 use freerig::fem::tube::Tube;
 use freerig::units::PASCAL_PER_PSI as PSI;
 use nalgebra::Vector2;
@@ -16,9 +16,9 @@ pub fn module(gamma_deg: f64) -> Module {
     let mounts = square(0.02).into_iter().enumerate().map(|(i, base)| {
         let law = Law {
             straight: Straight::closed_form(&section),
-            bending: Quadratic::through([(0.0, ei[0] * 1e-6), (3.5 * PSI, ei[1] * 1e-6), (7.0 * PSI, ei[2] * 1e-6)]),
-            shear: Quadratic::constant(1e4),
-            coupling: Quadratic::constant(0.0),
+            bending: Profile::through([(0.0, ei[0] * 1e-6), (3.5 * PSI, ei[1] * 1e-6), (7.0 * PSI, ei[2] * 1e-6)]),
+            shear: Profile::constant(1e4),
+            coupling: Profile::constant(0.0),
             mirrored: i % 2 == 1,
         };
         let rod = Rod { length: LENGTH, law, rest_curvature: Vector2::zeros(), outer_radius: 5.56e-3 };
