@@ -108,7 +108,7 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     let report = Report::of(&plan, slew, begun.elapsed().as_secs_f64(), &page, args.csv.clone());
     let gamma = scene.frees[0].tube.gamma.abs().to_degrees();
     let title = format!("Path {stem}, module of {gamma:.1} deg");
-    way_sheet(&title, &plan, report.facts(), Vec::new()).write(&page)?;
+    way_sheet(&title, &plan, report.facts(), report.remarks()).write(&page)?;
     if let Some(path) = &args.csv {
         write_csv(path, &report.samples).with_context(|| format!("cannot write {}", path.display()))?;
     }
@@ -149,6 +149,15 @@ impl Report {
             report: page.display().to_string(),
             csv,
         }
+    }
+
+    /// What nobody should overlook.
+    fn remarks(&self) -> Vec<String> {
+        let missed = (self.missed > 0).then(|| {
+            let reason = self.shortfall.as_deref().unwrap_or_default();
+            format!("{} of {} points are not reached, the first one because {reason}", self.missed, self.samples.len())
+        });
+        missed.into_iter().collect()
     }
 
     fn facts(&self) -> Vec<(String, String)> {
