@@ -84,7 +84,8 @@ fn the_plate_is_where_the_reference_has_it() {
     for gamma in [30.0, 60.0] {
         let rows: Vec<&Vec<f64>> = reference.iter().filter(|row| row[0] == gamma).collect();
         assert_eq!(rows.len(), 4);
-        let on = |case: f64| [[1.0; 4], [1.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0]][case as usize - 1];
+        let on =
+            |case: f64| [[1.0; 4], [1.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [1.0, 1.0, 0.0, 0.0]][case as usize - 1];
         let mut table = String::from("# cases\nnote_s,a_psi,b_psi,c_psi,d_psi\n");
         for row in &rows {
             let [a, b, c, d] = on(row[1]).map(|on| on * row[2]);
@@ -130,7 +131,8 @@ fn the_frees_carry_plate_weight_and_force_and_the_mirror_image_mirrors() {
     // The mirror image in the plane x = y keeps A and C, exchanges B and D, and every hand.
     let mirrored = ["--layout", "LRLR", "--plate-mass", "20g"];
     let loads = ["--gravity", "0m/s2,-1m/s2,9.81m/s2", "--force", "-0.05N,0N,0.1N"];
-    let left = model(folder.path(), "60deg", &[&["--pressures", "3psi,2psi,0psi,1psi"], &mirrored[..], &loads].concat());
+    let left =
+        model(folder.path(), "60deg", &[&["--pressures", "3psi,2psi,0psi,1psi"], &mirrored[..], &loads].concat());
     let ([x, y, z], other) = (numbers::<3>(&right["position_m"]), numbers(&left["position_m"]));
     assert!(apart([y, x, z], other) < 1e-9 && x.hypot(y) > 1e-3, "{x} {y} {z} {other:?}");
     let ([w, qx, qy, qz], other) = (numbers::<4>(&right["quaternion_wxyz"]), numbers::<4>(&left["quaternion_wxyz"]));
