@@ -168,6 +168,11 @@ quantity!(
     Mass, "mass", kilograms,
     [("g", 1e-3), ("kg", 1.0)]
 );
+quantity!(
+    /// Acceleration. SI: m/s2.
+    Acceleration, "acceleration", metres_per_second_squared,
+    [("m/s2", 1.0), ("mm/s2", 1e-3)]
+);
 
 quantity!(
     /// A share of a whole. SI: 1.

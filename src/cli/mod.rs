@@ -40,6 +40,7 @@ mod export;
 mod failure;
 mod free;
 mod latency;
+mod list;
 mod log;
 mod model;
 mod outcome;
@@ -48,6 +49,7 @@ mod progress;
 mod report;
 mod run;
 mod runs;
+mod scene;
 mod set;
 mod simulate;
 mod status;
@@ -134,9 +136,10 @@ enum Command {
     Report(report::Args),
     /// Run the lumped model of a FREE, alone or in a loop with its controller
     Simulate(simulate::Args),
-    /// What geometry and material alone say of a FREE, by the model asked for or the cheapest that is good enough
+    /// What geometry and material alone say of a FREE or of a module of four, by the model asked for or the cheapest
+    /// that is good enough
     Model(model::Args),
-    /// What to build: rotation, extension, force and moment of many designs
+    /// What to command, what can be reached, and what to build
     Plan(plan::Args),
     /// Compare two runs: RMS deviation, ratio of the tracking errors, overlay plot
     Compare(compare::Args),

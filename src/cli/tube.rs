@@ -17,8 +17,8 @@ pub struct TubeArgs {
     #[arg(long, value_name = "NAME")]
     free: Option<String>,
     /// Winding angle from the axis; negative for an L FREE
-    #[arg(long)]
-    gamma: Option<Angle>,
+    #[arg(long, value_name = "GAMMA", value_delimiter = ',', allow_hyphen_values = true)]
+    gamma: Vec<Angle>,
     /// Length at rest
     #[arg(long)]
     length: Option<Length>,
@@ -51,9 +51,40 @@ impl TubeArgs {
         self.length.is_some()
     }
 
+    /// The winding angles given.
+    pub fn gammas(&self) -> &[Angle] {
+        &self.gamma
+    }
+
+    /// Fastest change of the FREE's pressure that rig.toml allows, Pa/s.
+    pub fn slew(&self, context: &Context) -> Result<f64, Failure> {
+        let rig = Rig::load(&context.rig)?;
+        let index = subject(&rig, self.free.as_deref())?;
+        Ok(rig.control.frees[index].limits.slew)
+    }
+
     /// The tube and its length, m. What neither the flags nor the FREE's calibration say is the reference FREE's, and is
     /// told.
     pub fn tube(&self, context: &Context) -> Result<(Tube, f64), Failure> {
+        if self.gamma.len() > 1 {
+            let angles = self.gamma.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+            let error = anyhow!("--gamma {angles}: one winding angle belongs here");
+            return Err(Failure::usage(error).remedy("ask for one after the other"));
+        }
+        self.one(self.gamma.first().copied(), context)
+    }
+
+    /// A tube for each winding angle given, and their length; the FREE's own where none is.
+    pub fn tubes(&self, context: &Context) -> Result<(Vec<Tube>, f64), Failure> {
+        let (first, length) = self.one(self.gamma.first().copied(), context)?;
+        let mut tubes = vec![first];
+        for gamma in self.gamma.iter().skip(1) {
+            tubes.push(self.one(Some(*gamma), context)?.0);
+        }
+        Ok((tubes, length))
+    }
+
+    fn one(&self, gamma: Option<Angle>, context: &Context) -> Result<(Tube, f64), Failure> {
         let rig = Rig::load(&context.rig)?;
         let index = subject(&rig, self.free.as_deref())?;
         let calibration = &rig.calibrations[index];
@@ -82,7 +113,7 @@ impl TubeArgs {
         let tube = Tube {
             inner_radius: self.inner_diameter.map_or(known.inner_radius, |d| 0.5 * d.si()),
             wall: self.wall.map_or(known.wall, Length::si),
-            gamma: self.gamma.map_or(known.gamma, Angle::si),
+            gamma: gamma.map_or(known.gamma, Angle::si),
             fibers: self.fibers.unwrap_or(known.fibers),
             fiber_ea: self.fiber_ea.map_or(known.fiber_ea, Force::si),
             fiber_width: self.fiber_width.map_or(known.fiber_width, Length::si),

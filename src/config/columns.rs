@@ -31,7 +31,7 @@ impl Columns {
     /// Reads the file `path`, or says everything that is wrong with it.
     pub(super) fn read(path: &Path) -> Result<Self, Vec<Problem>> {
         let bytes = std::fs::read(path).map_err(|error| {
-            let remedy = "name a file that exists; paths are relative to the script's folder";
+            let remedy = "name a file that exists; the paths in a script are relative to its folder";
             vec![problem(path, None, "", "", &format!("cannot read the table: {error}"), remedy)]
         })?;
         let sha256 = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
@@ -112,6 +112,11 @@ impl Columns {
             let remedy = "correct the value or its unit, or remove the line";
             problems.push(problem(&self.path, Some(*line), stem, &format!("{value}"), &rule, remedy));
         }
+    }
+
+    /// What is wrong with `value` (SI) under `name` in the row `index`.
+    pub(super) fn row_problem(&self, index: usize, name: &str, value: f64, rule: &str, remedy: &str) -> Problem {
+        problem(&self.path, self.rows.get(index).map(|row| row.0), name, &value.to_string(), rule, remedy)
     }
 
     /// The line of every row.

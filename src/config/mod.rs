@@ -35,6 +35,7 @@ mod reader;
 mod rig;
 mod script;
 mod sections;
+mod tables;
 mod tube;
 mod whisk;
 
@@ -51,3 +52,4 @@ pub use problem::{ConfigError, Problem};
 pub use rig::{Backend, LoopConfig, RecordConfig, Rig, SocketConfig};
 pub use script::Script;
 pub use whisk::Whisk;
+pub use tables::{Waypoints, pressure_rows, waypoints};

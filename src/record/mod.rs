@@ -46,6 +46,9 @@ mod signals;
 mod stiffness;
 mod tube;
 mod whisk;
+mod views;
+mod way;
+mod workspace;
 
 pub use bench::{BenchRow, BenchSuite, Curve};
 pub use columns::column_name;
@@ -78,3 +81,5 @@ pub use signals::Signals;
 pub use stiffness::stiffness_sheet;
 pub use tube::TubeDocument;
 pub use whisk::whisk_sheet;
+pub use way::way_sheet;
+pub use workspace::{ModuleDrawing, workspace_recording, workspace_sheet};

@@ -11,11 +11,11 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use super::{RecordError, Result, palette};
 
 /// Width of every plot, pixels.
-const WIDTH: u32 = 960;
+pub(super) const WIDTH: u32 = 960;
 /// Space left of the axis, the same in all plots so that their times line up.
-const LEFT: u32 = 64;
-const LEGEND_ROW: u32 = 22;
-const FONT: &str = "system-ui, sans-serif";
+pub(super) const LEFT: u32 = 64;
+pub(super) const LEGEND_ROW: u32 = 22;
+pub(super) const FONT: &str = "system-ui, sans-serif";
 
 /// A line of a plot.
 #[derive(Clone, Debug)]
@@ -314,18 +314,18 @@ impl Lanes {
 
 const GRID: RGBColor = RGBColor(0xE3, 0xE6, 0xEA);
 const AXIS: RGBColor = RGBColor(0xA0, 0xA7, 0xB0);
-const TEXT: RGBColor = RGBColor(0x3A, 0x42, 0x4C);
+pub(super) const TEXT: RGBColor = RGBColor(0x3A, 0x42, 0x4C);
 
-fn color(rgb: u32) -> RGBColor {
+pub(super) fn color(rgb: u32) -> RGBColor {
     RGBColor((rgb >> 16) as u8, (rgb >> 8) as u8, rgb as u8)
 }
 
-fn plot_error(error: impl std::fmt::Display) -> RecordError {
+pub(super) fn plot_error(error: impl std::fmt::Display) -> RecordError {
     RecordError::Plot(error.to_string())
 }
 
 /// Lets the drawing fill the width it is given, by its view box.
-fn fluid(svg: String) -> String {
+pub(super) fn fluid(svg: String) -> String {
     let Some(end) = svg.find('>') else { return svg };
     let tag = &svg[..end];
     let tag = match (tag.find("width=\""), tag.find("viewBox")) {
@@ -336,13 +336,13 @@ fn fluid(svg: String) -> String {
 }
 
 /// How the legend shows an entry.
-enum Mark {
+pub(super) enum Mark {
     Line(u32),
     Dashes,
     Band,
 }
 
-fn legend<'a>(
+pub(super) fn legend<'a>(
     area: &DrawingArea<SVGBackend<'_>, Shift>,
     entries: impl Iterator<Item = (&'a str, u32, Mark)>,
 ) -> Result<()> {
@@ -379,7 +379,7 @@ fn legend_width(label: &str) -> i32 {
 }
 
 /// Rows that the legend takes.
-fn legend_rows<'a>(labels: impl Iterator<Item = &'a String>) -> usize {
+pub(super) fn legend_rows<'a>(labels: impl Iterator<Item = &'a String>) -> usize {
     let (mut rows, mut x) = (1, LEFT as i32);
     for label in labels.filter(|l| !l.is_empty()) {
         if x > LEFT as i32 && x + legend_width(label) > WIDTH as i32 {
@@ -390,9 +390,9 @@ fn legend_rows<'a>(labels: impl Iterator<Item = &'a String>) -> usize {
     rows
 }
 
-type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Axis, Axis>>;
+pub(super) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Axis, Axis>>;
 
-fn mesh(chart: &mut Chart<'_, '_>, x: &str, y: &str) -> Result<()> {
+pub(super) fn mesh(chart: &mut Chart<'_, '_>, x: &str, y: &str) -> Result<()> {
     chart
         .configure_mesh()
         .light_line_style(TRANSPARENT)
@@ -406,10 +406,10 @@ fn mesh(chart: &mut Chart<'_, '_>, x: &str, y: &str) -> Result<()> {
 }
 
 /// An axis whose marks are written with as many digits as their distance needs.
-struct Axis(RangedCoordf64);
+pub(super) struct Axis(RangedCoordf64);
 
 impl Axis {
-    fn new(range: Range<f64>) -> Self {
+    pub(super) fn new(range: Range<f64>) -> Self {
         Self(range.into())
     }
 }

@@ -6,6 +6,7 @@ use super::Result;
 use super::html::{Page, escape, prose};
 use super::plot::Plot;
 use super::run::write_atomically;
+use super::views::Views;
 
 /// What stands on the page.
 #[derive(Clone, Debug, Default)]
@@ -20,6 +21,8 @@ pub struct Sheet {
     pub facts: Vec<(String, String)>,
     /// Other pages: what they are, and their paths from this one.
     pub links: Vec<(String, String)>,
+    /// Captions and views of curves in space, before the other drawings.
+    pub(crate) views: Vec<(String, Views)>,
     /// Captions and drawings, in their order.
     pub(crate) figures: Vec<(String, Plot)>,
 }
@@ -55,6 +58,9 @@ impl Sheet {
                 page.raw(&format!("<li><a href=\"{}\">{}</a></li>", escape(path), escape(what)));
             }
             page.raw("</ul>");
+        }
+        for (caption, views) in &self.views {
+            page.figure(caption, &views.svg()?);
         }
         for (caption, plot) in &self.figures {
             page.figure(caption, &plot.svg()?);

@@ -22,10 +22,12 @@
 
 mod choice;
 mod error;
+mod module;
 mod tiers;
 
 pub use choice::{Choice, Considered, choose};
 pub use error::FidelityError;
+pub use module::{rods_discretisation_error, rods_model_error};
 pub use tiers::{ask, model_error};
 
 use super::ends::Ends;

@@ -3,10 +3,12 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
-use super::{Kind, Module, ModuleError, ModuleScene, Path, State, Wrench};
+use super::{Kind, Loads, Module, ModuleError, ModuleScene, State, Wrench};
 
-/// Longest step (radians, lengths or load factors) in which a critical point is looked for.
-const STEP: f64 = 0.05;
+/// Looks along the way to loads that have no stable equilibrium, for the first fault.
+const LOOKS: u32 = 16;
+/// How sharply the first fault is found, as a share of the loads.
+const SHARPNESS: f64 = 1e-4;
 
 /// The plate at rest under one row of pressures. SI units.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,30 +75,48 @@ pub fn answer(scene: &ModuleScene, module: &Module, rows: &[[f64; 4]]) -> Vec<An
 
 fn one(scene: &ModuleScene, module: &Module, pressures: [f64; 4]) -> Answer {
     let loads = scene.loads(pressures);
-    let ended = |error: ModuleError| match error {
-        ModuleError::Ends { fraction, cause } => {
-            let reason = cause.map_or(Reason::Critical(Kind::Limit), |cause| Reason::Module(*cause));
-            Limit { fraction, reason }
-        }
-        error => Limit { fraction: 1.0, reason: Reason::Module(error) },
-    };
-    let state = match module.equilibrium(&loads) {
-        Ok(state) => state,
-        Err(error) => return Answer { pressures, pose: None, limit: Some(ended(error)) },
-    };
-    let limit = if state.stable() { None } else { Some(critical(module, &state).unwrap_or_else(ended)) };
-    Answer { pressures, pose: pose(module, &state), limit }
+    let found = module.equilibrium(&loads);
+    let pose = found.as_ref().ok().and_then(|state| pose(module, state));
+    let limit = fault(&found).map(|reason| first(module, &loads, reason));
+    Answer { pressures, pose, limit }
 }
 
-/// Where the branch from rest to `state` turned unstable.
-fn critical(module: &Module, state: &State) -> Result<Limit, ModuleError> {
-    let to = state.loads();
-    let nothing = to.towards(to, 0.0);
-    let none = super::Loads::pressures(vec![0.0; nothing.pressures.len()]);
-    let rest = module.equilibrium(&none)?;
-    let found = Path::new(module, &rest, to, STEP)?.next_critical((-STEP, 1.0 + STEP))?;
-    let lost = |c: super::Critical| Limit { fraction: c.mu, reason: Reason::Critical(c.kind) };
-    Ok(found.map_or(Limit { fraction: 1.0, reason: Reason::Critical(Kind::Bifurcation) }, lost))
+/// What is wrong with an equilibrium; none where it is stable.
+fn fault(found: &Result<State, ModuleError>) -> Option<Reason> {
+    match found {
+        Ok(state) if state.stable() => None,
+        // A load that is given has no way past a turn: what it passes is another branch's crossing.
+        Ok(_) => Some(Reason::Critical(Kind::Bifurcation)),
+        Err(ModuleError::Ends { cause: None, .. }) => Some(Reason::Critical(Kind::Limit)),
+        Err(ModuleError::Ends { cause: Some(cause), .. }) => Some(Reason::Module((**cause).clone())),
+        Err(error) => Some(Reason::Module(error.clone())),
+    }
+}
+
+/// Where on the way to `loads`, at which there is `reason`, the first fault is met.
+fn first(module: &Module, loads: &Loads, reason: Reason) -> Limit {
+    let none = Loads::pressures(vec![0.0; loads.pressures.len()]);
+    let at = |fraction: f64| fault(&module.equilibrium(&none.towards(loads, fraction)));
+    let mut sound = 0.0;
+    let mut limit = Limit { fraction: 1.0, reason };
+    for k in 1..LOOKS {
+        let fraction = f64::from(k) / f64::from(LOOKS);
+        match at(fraction) {
+            None => sound = fraction,
+            Some(reason) => {
+                limit = Limit { fraction, reason };
+                break;
+            }
+        }
+    }
+    while limit.fraction - sound > SHARPNESS {
+        let fraction = 0.5 * (sound + limit.fraction);
+        match at(fraction) {
+            None => sound = fraction,
+            Some(reason) => limit = Limit { fraction, reason },
+        }
+    }
+    limit
 }
 
 fn pose(module: &Module, state: &State) -> Option<Pose> {

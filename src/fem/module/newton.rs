@@ -9,8 +9,8 @@ use crate::fem::rod::{
     moment_force, skew, small_twist, twist, vector6, wrench,
 };
 
-/// A correction below this (see [`Step::within`]) ends the iteration: Newton squares it, so what is left is rounding.
-const CONVERGED: f64 = 1e-7;
+/// A correction below this (see [`Step::within`]) ends the iteration: Newton squares it, so what is left is 1e-10.
+const CONVERGED: f64 = 1e-5;
 /// The same for a stop on the way, which only has to be a good start for the next.
 const NEARBY: f64 = 1e-3;
 /// Each correction must be below this share of the one before.
