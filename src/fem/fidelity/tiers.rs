@@ -167,7 +167,9 @@ pub(super) fn section(scene: &Scene, tolerance: f64) -> Result<Answer, FidelityE
     for way in scene.ways().iter().filter(|way| !way.is_empty()) {
         let pressures: Vec<f64> = way.iter().map(|&i| scene.pressures[i]).collect();
         let curve = curve_within(&scene.tube, &pressures, scene.hold.ends(), tolerance)?;
-        discretisation_error = discretisation_error.max(curve.error().unwrap_or(0.0));
+        // States beyond a finer mesh's fold depend on the mesh: no error can be told.
+        let error = if curve.unchecked.is_some() { f64::INFINITY } else { curve.error.unwrap_or(0.0) };
+        discretisation_error = discretisation_error.max(error);
         for (&i, found) in way.iter().zip(curve.points) {
             match found {
                 Ok(equilibrium) => points[i].rest = Some(Rest::from(&equilibrium)),

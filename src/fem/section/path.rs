@@ -23,7 +23,8 @@ pub(super) enum End {
     Stopped(f64),
 }
 
-fn free(conditions: &[Condition; 3]) -> [bool; 2] {
+/// Whether stretch and twist are free to move.
+pub(super) fn free(conditions: &[Condition; 3]) -> [bool; 2] {
     [0, 1].map(|k| matches!(conditions[k], Condition::Conjugate(_)))
 }
 
