@@ -1,11 +1,16 @@
 //! The section against independently computed references.
 
 use std::collections::HashMap;
+use std::f64::consts::TAU;
 
-use freerig::fem::ends::{End, Ends, Equilibrium};
+use freerig::fem::ends::{Ends, Equilibrium};
+use freerig::fem::material::Law;
+use freerig::fem::measure::{Outcome, difference};
 use freerig::fem::section::{LimitKind, Mesh, Section, SectionError, curve_within};
 use freerig::fem::tube::Tube;
 use freerig::units::PASCAL_PER_PSI as PSI;
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 
 /// One row of a reference; empty fields are missing.
 type Row = HashMap<String, f64>;
@@ -146,45 +151,62 @@ fn free_limit_pressures_agree() {
     }
 }
 
-/// The largest relative difference of motion (free) or load (blocked), each as a vector.
-fn difference(tube: &Tube, a: &Equilibrium, b: &Equilibrium, ends: Ends) -> f64 {
-    let ro = tube.outer_radius();
-    let of = |e: &Equilibrium| match ends.axial {
-        End::Held(_) => [e.force, e.moment / ro],
-        End::Loaded(_) => [e.stretch - 1.0, e.twist * ro],
-    };
-    let (a, b) = (of(a), of(b));
-    (a[0] - b[0]).hypot(a[1] - b[1]) / b[0].hypot(b[1])
+/// Tubes of all kinds: angle 20 to 80 deg of either hand, wall a tenth to a third of the inner radius, 3 to 12 fibres that
+/// cover 3 to 30 % of the circumference, alpha 0.8 to 3.
+fn seeded(seed: u64) -> Tube {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    let inner_radius = rng.random_range(3e-3..8e-3);
+    let wall = inner_radius * rng.random_range(0.1..0.33);
+    let hand = if rng.random() { 1.0 } else { -1.0 };
+    let fibers = rng.random_range(3..=12);
+    let share = TAU * (inner_radius + wall) / fibers as f64;
+    Tube {
+        inner_radius,
+        wall,
+        gamma: hand * rng.random_range(20_f64..80.0).to_radians(),
+        fibers,
+        fiber_ea: rng.random_range(200.0..2000.0),
+        fiber_width: share * rng.random_range(0.03..0.3),
+        law: Law::ogden(rng.random_range(0.2e6..0.8e6), rng.random_range(0.8..3.0)).unwrap(),
+    }
 }
 
 #[test]
 fn the_estimated_error_holds_the_true_one() {
-    // Against level 4; effectivity is estimate over true error.
-    let pressures = [2.0 * PSI];
-    let mut effectivities = Vec::new();
-    for (degrees, width, fibers, wall) in
-        [(40.0, 0.4, 6, 0.8), (60.0, 0.4, 6, 0.8), (25.0, 0.3, 12, 0.8), (50.0, 0.6, 3, 0.8)]
-    {
-        let tube = Tube { fibers, wall: wall * 1e-3, ..tube(degrees, width) };
+    // The true one against level 4, whose own error is a sixteenth of level 1's. Pressures to 0.4 mu wall / radius: twists times
+    // radius of a few hundredths to some tenths, below the limits of most.
+    let (mut effectivities, mut refused) = (Vec::new(), 0);
+    for seed in 100..130 {
+        let tube = seeded(seed);
+        let top = 0.4 * tube.law.shear_modulus() * tube.wall / tube.inner_radius;
+        let pressures = [0.25, 0.6, 1.0].map(|part| part * top);
         let fine = Section::new(&tube, Mesh::level(4)).unwrap();
         for ends in [Ends::FREE, Ends::BLOCKED] {
-            let reference = fine.curve(&pressures, ends).unwrap();
-            let curve = curve_within(&tube, &pressures, ends, 0.02).unwrap();
-            for ((point, error), reference) in curve.points.iter().zip(&curve.errors).zip(&reference) {
-                let (Ok(point), Some(error), Ok(reference)) = (point, error, reference) else { continue };
-                let truth = difference(&tube, point, reference, ends);
-                assert!(truth <= 0.02, "{degrees} deg: true error {truth}");
-                effectivities.push(error / truth);
+            let curve = curve_within(&tube, &pressures, ends, 5e-3).unwrap();
+            let truth = fine.curve(&pressures, ends).unwrap();
+            let checked = curve.unchecked.unwrap_or(f64::INFINITY);
+            let pairs: Vec<(Outcome, Outcome)> = (curve.points.iter().flatten().zip(truth.iter().flatten()))
+                .filter(|(point, _)| point.pressure <= checked)
+                .map(|(a, b)| (a.into(), b.into()))
+                .collect();
+            match curve.error {
+                Some(error) if !pairs.is_empty() => {
+                    effectivities.push((error / difference(&tube, ends, &pairs), error, seed));
+                }
+                _ => refused += 1,
             }
         }
     }
-    effectivities.sort_by(f64::total_cmp);
-    println!("effectivity: {effectivities:.2?}");
+    effectivities.sort_by(|a, b| a.0.total_cmp(&b.0));
     let count = effectivities.len();
-    assert!(count >= 7, "{count}");
-    let held = effectivities.iter().filter(|e| **e >= 1.0).count();
-    assert!(held * 10 >= count * 8 && effectivities[0] > 0.3, "{effectivities:?}");
-    assert!(effectivities[count / 2] < 20.0, "{effectivities:?}");
+    let held = effectivities.iter().filter(|e| e.0 >= 1.0).count();
+    let [least, middle, most] = [0, count / 2, count - 1].map(|k| effectivities[k].0);
+    println!("estimated over true error: {held} of {count} at least 1; {least:.2}, {middle:.2}, {most:.2}; {refused} without");
+    println!("{:.2?}", &effectivities[..5]);
+    assert!(refused <= 3, "{refused}");
+    assert!(held * 100 >= count * 95, "{effectivities:.2?}");
+    // An estimate far above the truth costs a finer mesh than is needed.
+    assert!(least > 0.5 && middle < 5.0, "{effectivities:.2?}");
 }
 
 #[test]
@@ -192,7 +214,7 @@ fn a_smaller_wanted_error_takes_a_finer_mesh() {
     let tube = tube(40.0, 0.4);
     let curves = [5e-3, 5e-4].map(|wanted| curve_within(&tube, &[2.0 * PSI], Ends::BLOCKED, wanted).unwrap());
     for (curve, wanted) in curves.iter().zip([5e-3, 5e-4]) {
-        assert!(curve.error().unwrap() <= wanted && !curve.mesh_dependent);
+        assert!(curve.error.unwrap() <= wanted && !curve.mesh_dependent);
     }
     let unknowns = curves.map(|curve| Section::new(&tube, curve.mesh).unwrap().unknowns());
     assert!(unknowns[0] < unknowns[1], "{unknowns:?}");
