@@ -50,7 +50,7 @@ pub enum SectionError {
     Tube(#[from] TubeError),
     /// No mesh.
     #[error(
-        "{0:?}: counted: radial 1 to 32, strip and gap 1 to 64, growth 1 to 8; graded: strip 1 to 16, growth 1.2 to 8"
+        "{0:?}: counted: radial 1 to 32, strip and gap 1 to 64, growth 1 to 8; graded: strip 1 to 16, growth 1.05 to 8"
     )]
     Mesh(Mesh),
     /// The wanted error is out of range.

@@ -24,7 +24,7 @@ pub enum Mesh {
     Graded {
         /// Elements in half of the strip, 1 to 16.
         strip: usize,
-        /// Size of an element over that of its neighbour nearer to the strip's end, at most, 1.2 to 8.
+        /// Size of an element over that of its neighbour nearer to the strip's end, at most, 1.05 to 8.
         growth: f64,
     },
 }
@@ -43,7 +43,7 @@ impl Mesh {
                 let counts = (1..=32).contains(&radial) && (1..=64).contains(&strip) && (1..=64).contains(&gap);
                 counts && (1.0..=8.0).contains(&growth)
             }
-            Mesh::Graded { strip, growth } => (1..=16).contains(&strip) && (1.2..=8.0).contains(&growth),
+            Mesh::Graded { strip, growth } => (1..=16).contains(&strip) && (1.05..=8.0).contains(&growth),
         };
         if valid { Ok(self) } else { Err(SectionError::Mesh(self)) }
     }
