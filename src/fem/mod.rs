@@ -9,8 +9,8 @@
 //! | [`solid`] | finite tube with its ends, mixed hexahedra | any finite strain; end effects, bending, buckling |
 //! | [`rod`], [`module`] | geometrically exact rods under a rigid plate | any bend, payload, buckling |
 //!
-//! [`fidelity`] asks any of them the same question, and chooses the cheapest that a scene needs; [`measure`] says how far
-//! two of their answers are apart.
+//! [`fidelity`] asks any of them the same question, and chooses the cheapest that a scene needs; [`measure`] says how
+//! far two of their answers are apart.
 //!
 //! All answer in the same terms: a [`tube::Tube`], its [`ends::Ends`], an [`ends::Equilibrium`]. Signs: z from base to
 //! tip, twist and moment right-handed about z, `force` and `moment` are what the closed tube does to its distal

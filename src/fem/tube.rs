@@ -80,8 +80,8 @@ impl Tube {
         }
     }
 
-    /// A tube of the study `seed`: inner radius 3 to 8 mm, wall a tenth to a third of it, 20 to 80 deg of either hand, 3 to
-    /// 12 fibres of 200 to 2000 N that cover 3 to 30 % of the circumference, mu 0.2 to 0.8 MPa, alpha 0.8 to 3.
+    /// A tube of the study `seed`: inner radius 3 to 8 mm, wall a tenth to a third of it, 20 to 80 deg of either hand,
+    /// 3 to 12 fibres of 200 to 2000 N that cover 3 to 30 % of the circumference, mu 0.2 to 0.8 MPa, alpha 0.8 to 3.
     pub fn seeded(seed: u64) -> Tube {
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         let inner_radius = rng.random_range(3e-3..8e-3);
@@ -100,8 +100,8 @@ impl Tube {
         }
     }
 
-    /// A pressure at which the tube is strained well but below its limits, `0.4 mu wall / Ri`, Pa: 3.8 psi of the reference FREE,
-    /// whose free limits lie between 7 and 9 psi.
+    /// A pressure at which the tube is strained well but below its limits, `0.4 mu wall / Ri`, Pa: 3.8 psi of the
+    /// reference FREE, whose free limits lie between 7 and 9 psi.
     pub fn moderate_pressure(&self) -> f64 {
         0.4 * self.law.shear_modulus() * self.wall / self.inner_radius
     }

@@ -1,8 +1,8 @@
 //! Tiers of the finite elements against the finest section: error against time over the mesh.
 //!
 //! Errors are those of [`crate::fem::measure`], over all pressures of a case. What the reference leaves itself, the
-//! section on level 4, is about a sixteenth of level 1's discretisation error. The section lacks the ends, which the solid
-//! has: at mid-length the two solve the same problem, over the whole length they differ by the ends, and only a
+//! section on level 4, is about a sixteenth of level 1's discretisation error. The section lacks the ends, which the
+//! solid has: at mid-length the two solve the same problem, over the whole length they differ by the ends, and only a
 //! finer solid tells the solid's own discretisation error of that.
 
 use std::time::Instant;

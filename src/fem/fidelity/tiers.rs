@@ -74,8 +74,8 @@ pub fn model_error(scene: &Scene, answer: &Answer) -> Result<Option<f64>, Fideli
     }
 }
 
-/// Relative part of the ends in the scene's answer, where `section` has an equilibrium: at its lowest and at its highest
-/// pressure, and there no nearer to a limit than a coarse mesh can tell.
+/// Relative part of the ends in the scene's answer, where `section` has an equilibrium: at its lowest and at its
+/// highest pressure, and there no nearer to a limit than a coarse mesh can tell.
 pub(super) fn end_effects(scene: &Scene, section: &Answer) -> Result<f64, FidelityError> {
     let most = section.limit.as_ref().map_or(f64::INFINITY, |limit| SAFE * limit.pressure.abs());
     let stable = section.points.iter().filter(|p| p.rest.is_some() && p.pressure != 0.0);

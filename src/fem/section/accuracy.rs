@@ -1,7 +1,7 @@
 //! Discretisation error: estimated against a finer mesh, and a mesh chosen for a wanted error.
 //!
-//! [`Mesh::level`] 2 n divides every element of level n in two both ways. Smooth fields would leave a sixteenth of the resultants'
-//! error; the traction's jump at the strip's end leaves about a quarter. With half of it at most,
+//! [`Mesh::level`] 2 n divides every element of level n in two both ways. Smooth fields would leave a sixteenth of the
+//! resultants' error; the traction's jump at the strip's end leaves about a quarter. With half of it at most,
 //!
 //! ```text
 //!     |u_n - u| <= |u_n - u_2n| + |u_2n - u| <= |u_n - u_2n| + |u_n - u| / 2
@@ -9,11 +9,11 @@
 //!
 //! so twice the difference between the levels bounds the error of the coarser one. Errors grow along a curve, and are
 //! related to its largest state ([`crate::fem::measure`]): the finer mesh solves the last one only, starting from the
-//! coarser one's solution. A difference may vanish by accident: the estimate has a floor, which falls with the element's
-//! size squared.
+//! coarser one's solution. A difference may vanish by accident: the estimate has a floor, which falls with the
+//! element's size squared.
 //!
-//! Where the finer mesh folds before ([`super::LimitKind::Folding`] depends on the mesh), it knows nothing of that state, and the
-//! estimate is made farther down; the states beyond have none.
+//! Where the finer mesh folds before ([`super::LimitKind::Folding`] depends on the mesh), it knows nothing of that
+//! state, and the estimate is made farther down; the states beyond have none.
 
 use super::fields::Fields;
 use super::newton::Workspace;
@@ -35,11 +35,11 @@ const LEAST: f64 = 5e-4;
 pub struct Curve {
     /// Equilibria, or why there is none, at the pressures asked for.
     pub points: Vec<Result<Equilibrium, SectionError>>,
-    /// Estimated relative error of the equilibria below `unchecked`, as [`crate::fem::measure`] has it; none where a finer
-    /// mesh has none of them.
+    /// Estimated relative error of the equilibria below `unchecked`, as [`crate::fem::measure`] has it; none where a
+    /// finer mesh has none of them.
     pub error: Option<f64>,
-    /// Magnitude of the pressure (Pa) beyond which the equilibria have no estimate, since a finer mesh folds before: they
-    /// depend on the mesh.
+    /// Magnitude of the pressure (Pa) beyond which the equilibria have no estimate, since a finer mesh folds before:
+    /// they depend on the mesh.
     pub unchecked: Option<f64>,
     /// The mesh.
     pub mesh: Mesh,
@@ -56,8 +56,8 @@ impl Mesh {
 }
 
 /// Equilibria of `tube` at `pressures`, Pa, on the coarsest mesh whose estimated error is at most `tolerance`
-/// (relative, 1e-4 to 0.5), or on the finest there is, with the error that it has. A mesh that folds at the strip's end where
-/// a coarser one does not is not taken.
+/// (relative, 1e-4 to 0.5), or on the finest there is, with the error that it has. A mesh that folds at the strip's end
+/// where a coarser one does not is not taken.
 pub fn curve_within(tube: &Tube, pressures: &[f64], ends: Ends, tolerance: f64) -> Result<Curve, SectionError> {
     if !(1e-4..=0.5).contains(&tolerance) {
         return Err(SectionError::Tolerance(tolerance));
@@ -104,8 +104,9 @@ fn unchecked(points: &[Result<Equilibrium, SectionError>], checked: Option<f64>)
 }
 
 impl Section {
-    /// Magnitude of the largest pressure of `points`, of the section `coarser`, at which this finer one has the equilibrium,
-    /// too, and how far the two are apart. Where the last one is not found, halfway to it is tried, and so on.
+    /// Magnitude of the largest pressure of `points`, of the section `coarser`, at which this finer one has the
+    /// equilibrium, too, and how far the two are apart. Where the last one is not found, halfway to it is tried, and so
+    /// on.
     fn check(
         &self,
         coarser: &Section,
@@ -113,14 +114,18 @@ impl Section {
         fields: &[Option<Fields>],
         ends: Ends,
     ) -> Result<Option<(f64, f64)>, SectionError> {
-        let mut stable: Vec<(&Equilibrium, &Fields)> =
-            points.iter().zip(fields).filter_map(|(point, fields)| Some((point.as_ref().ok()?, fields.as_ref()?))).collect();
+        let mut stable: Vec<(&Equilibrium, &Fields)> = points
+            .iter()
+            .zip(fields)
+            .filter_map(|(point, fields)| Some((point.as_ref().ok()?, fields.as_ref()?)))
+            .collect();
         stable.sort_by(|a, b| a.0.pressure.abs().total_cmp(&b.0.pressure.abs()));
         let mut workspace = Workspace::new(&self.sector);
         while let Some((coarse, fields)) = stable.last() {
             let conditions = self.conditions(coarse.pressure, ends)?;
             let start = self.sector.interpolated(&coarser.sector, fields);
-            let found = workspace.solve(&self.sector, start, conditions).filter(|found| found.stable(free(&conditions)));
+            let found =
+                workspace.solve(&self.sector, start, conditions).filter(|found| found.stable(free(&conditions)));
             if let Some(solution) = found {
                 let fine = self.outcome(&solution);
                 let apart = difference(&self.tube, ends, &[((*coarse).into(), (&fine).into())]);

@@ -393,7 +393,8 @@ impl Local {
                     self.gradient[k][local] += n * volumetric;
                 }
             }
-            // Rows (d_R, d_psi, d) of the moduli against this node's three components, then every node's own shape on them.
+            // Rows (d_R, d_psi, d) of the moduli against this node's three components, then every node's own shape on
+            // them.
             let mut rows = [[0.0; 9]; 3];
             for (which, row) in rows.iter_mut().enumerate() {
                 for c in 0..3 {

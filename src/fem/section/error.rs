@@ -13,7 +13,8 @@ pub enum LimitKind {
     /// The pressure has a maximum (or minimum) along the path: the tube balloons, or its force or moment gives way.
     Pressure,
     /// The rubber folds at the strip's end at held stretch and twist. Local, and dependent on the mesh: the traction
-    /// jumps at the strip's end, so a finer mesh folds earlier.
+    /// jumps at the strip's end, so a finer mesh folds earlier, down to less than half of the pressure (see the
+    /// module).
     Folding,
     /// Fields that break the symmetry about the fibre grow.
     Asymmetric,
@@ -35,8 +36,8 @@ impl std::fmt::Display for LimitKind {
 /// Last pressure of a path of stable equilibria.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
-    /// Gauge pressure, Pa: an extremum for [`LimitKind::Pressure`] and [`LimitKind::Folding`], otherwise where the symmetry
-    /// breaks.
+    /// Gauge pressure, Pa: an extremum for [`LimitKind::Pressure`] and [`LimitKind::Folding`], otherwise where the
+    /// symmetry breaks.
     pub pressure: f64,
     /// What happens there.
     pub kind: LimitKind,

@@ -79,13 +79,12 @@ impl Grid {
         let (radial, strip, gap, growth) = match mesh {
             Mesh::Counted { radial, strip, gap, growth } => (radial, strip, gap, growth),
             Mesh::Graded { strip, growth } => {
-                // Counted for one element in half of the strip, each of which is then divided into `strip`: so the mesh of 2 n
-                // divides every element of that of n.
+                // Counted for one element in half of the strip, each of which is then divided into `strip`: so the mesh
+                // of 2 n divides every element of that of n.
                 let whole = growth.powi(strip as i32);
                 let across = if half_width > 0.0 { (half_width * cosine).min(wall) } else { 0.25 * wall };
-                let count = |length: f64| {
-                    strip * (1.0 + length * (whole - 1.0) / across).log(whole).round().max(1.0) as usize
-                };
+                let count =
+                    |length: f64| strip * (1.0 + length * (whole - 1.0) / across).log(whole).round().max(1.0) as usize;
                 (count(wall), strip, count(gap_width * cosine), growth)
             }
         };

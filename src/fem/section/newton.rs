@@ -8,6 +8,8 @@ use super::saddle::{Increment, Saddle};
 
 /// Iterations of one Newton solve; a start that needs more is too far away.
 const ITERATIONS: usize = 9;
+/// Growth of the residual at which a start is given up at once.
+const LOST: f64 = 10.0;
 /// Residual at which the equilibrium counts as found, in the sector's own units, and its part for the round-off of the
 /// fibres' stretch.
 const TOLERANCE: f64 = 1e-10;
@@ -57,7 +59,7 @@ impl Workspace {
         for iteration in 0..=ITERATIONS {
             self.assembly.fill(sector, &fields).ok()?;
             let norm = self.residual(sector, &fields, conditions);
-            if !norm.is_finite() || (iteration > 3 && norm > best) {
+            if !norm.is_finite() || norm > LOST * best || (iteration > 3 && norm > best) {
                 return None;
             }
             best = best.min(norm);

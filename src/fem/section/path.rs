@@ -1,8 +1,9 @@
 //! Paths of stable equilibria: steps in pressure and ends, and limits by steps in volume.
 //!
-//! A step is predicted along the tangent (and the parabola through the state before) and accepted only where Newton's method ends near the prediction on an
-//! equilibrium whose second variation is positive definite; otherwise it is halved. Where pressure steps end, the
-//! volume leads: `dP/dV` passes through zero smoothly at a limit point of the pressure.
+//! A step is predicted along the tangent (and the parabola through the state before) and accepted only where Newton's
+//! method ends near the prediction on an equilibrium whose second variation is positive definite; otherwise it is
+//! halved. Where pressure steps end, the volume leads: `dP/dV` passes through zero smoothly at a limit point of the
+//! pressure.
 
 use super::error::{Limit, LimitKind};
 use super::fields::{Fields, Sector};
@@ -49,10 +50,10 @@ fn step(sector: &Sector, workspace: &mut Workspace, from: &Solution, conditions:
     (near && smooth(from, &tangent, &solution, conditions)).then_some(solution)
 }
 
-/// Whether two equilibria lie on one smooth path: with the steps h between them, the tangent at the first one misses the second by
-/// `h^2 u''/2` and the tangent at the second one misses the first by as much, but for the third order. A state that has
-/// snapped to another branch, by a fold at the strip's end, say, that the step went across, is missed by the two with opposite
-/// signs. The largest node counts: such a fold is local.
+/// Whether two equilibria lie on one smooth path: with the steps h between them, the tangent at the first one misses
+/// the second by `h^2 u''/2` and the tangent at the second one misses the first by as much, but for the third order. A
+/// state that has snapped to another branch, by a fold at the strip's end, say, that the step went across, is missed by
+/// the two with opposite signs. The largest node counts: such a fold is local.
 fn smooth(from: &Solution, tangent: &Fields, to: &Solution, conditions: [Condition; 3]) -> bool {
     let met = std::array::from_fn(|k| match conditions[k] {
         Condition::Held(_) => Condition::Held(from.fields.globals[k]),
