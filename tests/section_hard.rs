@@ -110,7 +110,7 @@ fn folding_at_the_strips_end_is_named_and_depends_on_the_mesh() {
     // Every further ring and column of a quarter of the size at the strip's end, 5, 1.2 and 0.3 um here.
     let sharp = [3, 4, 5].map(|n| fold(Mesh::Counted { radial: n + 1, strip: n, gap: n + 2, growth: 4.0 }));
     println!(
-        "folds at {levels:.2?} psi on levels 1 and 2, {three:.2} on the reference's resolution, {sharp:.2?} on sharp meshes"
+        "folds at {levels:.2?} psi on levels 1 and 2, {three:.2} at the reference's resolution, {sharp:.2?} sharp"
     );
     // Blunt elements hold the rubber up; from 5 um on the pressure falls no farther, but scatters by a tenth with the
     // mesh.

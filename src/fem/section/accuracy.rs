@@ -92,8 +92,10 @@ pub fn curve_within(tube: &Tube, pressures: &[f64], ends: Ends, tolerance: f64) 
 
 /// Whether the rubber of the finer mesh folds at the strip's end where the coarser one has an equilibrium.
 fn folds_earlier(finer: &[Result<Equilibrium, SectionError>], coarser: &[Result<Equilibrium, SectionError>]) -> bool {
-    let folds = |point: &Result<Equilibrium, SectionError>| matches!(point, Err(SectionError::BeyondLimit { limit, .. }) if limit.kind == LimitKind::Folding);
-    finer.iter().zip(coarser).any(|(finer, coarser)| folds(finer) && coarser.is_ok())
+    finer.iter().zip(coarser).any(|(finer, coarser)| match finer {
+        Err(SectionError::BeyondLimit { limit, .. }) => limit.kind == LimitKind::Folding && coarser.is_ok(),
+        _ => false,
+    })
 }
 
 /// `checked`, if there are equilibria beyond it.
