@@ -57,6 +57,26 @@ fn the_integrators_reach_the_reference_solutions() {
 }
 
 #[test]
+fn the_tiers_of_the_finite_elements_stand_in_their_order() {
+    let (rows, _) = bench("fem", "10");
+    for case in ["free, 40 deg", "free, 60 deg", "blocked, 40 deg"] {
+        let case = format!("{case}, 1 to 4 psi");
+        let of = |method: &str| error(&rows, method, &case);
+        // Each level divides the elements further; the automatic mesh is within what it was asked for.
+        assert!(of("section, level 3") < of("section, level 2") && of("section, level 2") < of("section, level 1"));
+        assert!(of("section, within 0.5 %") < 5e-3, "{case}");
+        assert!(of("section, level 1") < of("smeared") && of("smeared") < of("linear"), "{case}");
+    }
+    // physics: end effects of 1 to 3 % at 40 deg; at mid-length there are none.
+    let solid = |case: &str| error(&rows, "solid", &format!("free, 40 deg, 1 to 4 psi, from the section: {case}"));
+    assert!(solid("at mid-length") < solid("ends included") && solid("ends included") < 0.05);
+    // Two geometries of a count of ten.
+    for ends in ["free", "blocked"] {
+        assert!(error(&rows, "section, level 1", &format!("2 geometries, {ends}, worst")) < 2e-2);
+    }
+}
+
+#[test]
 fn a_few_frees_are_identified() {
     let (rows, _) = bench("identification", "10");
     // The acceptance's limits hold for medians of 200; ten have three times their scatter at most.

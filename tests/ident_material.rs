@@ -3,8 +3,10 @@
 
 use std::f64::consts::PI;
 
-use freerig::fem::ends::End;
+use freerig::fem::ends::{End, Ends};
 use freerig::fem::material::Law;
+use freerig::fem::section::Section;
+use freerig::fem::tube::Tube;
 use freerig::ident::Measured;
 use freerig::ident::material::*;
 use rand::{Rng, SeedableRng};
@@ -117,7 +119,8 @@ fn tensile_curves_that_say_nothing_are_refused_by_name() {
     );
 }
 
-/// Energy of an incompressible Ogden tube per length at rest at an outer radius and stretch: midpoints through the wall.
+/// Energy of an incompressible Ogden tube per length at rest at an outer radius and stretch: midpoints through the
+/// wall.
 fn energy(mu: f64, alpha: f64, outer: f64, stretch: f64) -> f64 {
     const N: usize = 400;
     let at = |i: usize| {
@@ -199,6 +202,30 @@ fn the_thick_tube_is_the_closed_form_the_energy_and_lame() {
         // And every law is linear for a small pressure.
         let (small, _) = tube(axial).pressure(&Law::Ogden { mu: MU, alpha: ALPHA }, (1.0 + 1e-6) * OUTER, 1.0).unwrap();
         assert!((small / (lame * 5e-5) - 1.0).abs() < 1e-4, "{small}");
+    }
+}
+
+#[test]
+fn the_thick_tube_is_the_sections_without_fibres() {
+    for (law, share) in [
+        (Law::ogden(MU, 1.2).unwrap(), 0.08),
+        (Law::neo_hookean(MU).unwrap(), 0.08),
+        // The linear section's pressure follows the wall, Lame's does not: they meet at rest.
+        (Law::linear(MU).unwrap(), 1e-5),
+    ] {
+        for axial in [End::Loaded(0.0), End::Held(1.0)] {
+            let bare = tube(axial);
+            let (inner_radius, wall) = (bare.inner_radius, bare.wall);
+            let tube = Tube { inner_radius, wall, fiber_ea: 0.0, law, ..Tube::reference(0.7) };
+            let ends = Ends { axial, torsion: End::Loaded(0.0) };
+            let section = Section::smeared(&tube, 8).unwrap();
+            let found = section.solve(share * MU, ends).unwrap();
+            let (pressure, stretch) = bare.pressure(&law, found.outer_radius_mean, 1.0).unwrap();
+            // Eight quadratic elements through the wall leave 1e-6 of radius and stretch; the linear law's terms of
+            // second order are of the size of its strain.
+            assert!((pressure / (share * MU) - 1.0).abs() < 1e-4, "{law:?} {axial:?}: {pressure}");
+            assert!((stretch - found.stretch).abs() < 1e-4 * (found.outer_radius_mean / (inner_radius + wall) - 1.0));
+        }
     }
 }
 

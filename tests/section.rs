@@ -2,7 +2,8 @@
 
 use std::collections::HashMap;
 
-use freerig::fem::ends::{End, Ends, Equilibrium};
+use freerig::fem::ends::{Ends, Equilibrium};
+use freerig::fem::measure::{Outcome, difference};
 use freerig::fem::section::{LimitKind, Mesh, Section, SectionError, curve_within};
 use freerig::fem::tube::Tube;
 use freerig::units::PASCAL_PER_PSI as PSI;
@@ -105,7 +106,7 @@ fn free_tubes_agree_at_every_angle_and_pressure() {
 fn blocked_tubes_agree_at_every_angle_up_to_the_fold() {
     for (degrees, rows) in by_angle(table("section.csv")) {
         let (compared, folded) = check_blocked(&tube(degrees, 0.4), Mesh::default(), &rows, 10.0);
-        // At 30 deg the mesh folds at 8.3 psi; the reference's listed values go on to 10 psi.
+        // At 30 deg the mesh folds at 8.3 psi; the reference's listed values go on to 10 psi (see the next test).
         let expected = match degrees {
             30.0 => (9, 2),
             40.0 | 60.0 => (8, 0),
@@ -113,6 +114,19 @@ fn blocked_tubes_agree_at_every_angle_up_to_the_fold() {
         };
         assert_eq!((compared, folded), expected, "{degrees} deg");
     }
+}
+
+#[test]
+fn a_mesh_too_blunt_to_fold_meets_the_reference_beyond_the_fold() {
+    let (_, rows) = by_angle(table("section.csv")).into_iter().find(|(degrees, _)| *degrees == 30.0).unwrap();
+    // The reference's moment grows by more from psi to psi, and by 0.46 N mm more each time, up to 8 psi: there
+    // something of its mesh, too, gives way.
+    let moments: Vec<f64> = rows.iter().map(|row| row["M_Nmm"]).collect();
+    let bends: Vec<f64> = moments.windows(3).map(|m| (m[2] - 2.0 * m[1] + m[0]).abs()).collect();
+    assert!(bends[..7].iter().all(|b| (0.44..0.47).contains(b)) && bends[7..].iter().all(|b| *b < 0.35), "{bends:?}");
+    // Its states at 9 and 10 psi are therefore such that no finer mesh has them; elements of half a millimetre do.
+    let blunt = Mesh::Counted { radial: 3, strip: 1, gap: 2, growth: 4.0 };
+    assert_eq!(check_blocked(&tube(30.0, 0.4), blunt, &rows, 10.0), (11, 0));
 }
 
 #[test]
@@ -146,45 +160,42 @@ fn free_limit_pressures_agree() {
     }
 }
 
-/// The largest relative difference of motion (free) or load (blocked), each as a vector.
-fn difference(tube: &Tube, a: &Equilibrium, b: &Equilibrium, ends: Ends) -> f64 {
-    let ro = tube.outer_radius();
-    let of = |e: &Equilibrium| match ends.axial {
-        End::Held(_) => [e.force, e.moment / ro],
-        End::Loaded(_) => [e.stretch - 1.0, e.twist * ro],
-    };
-    let (a, b) = (of(a), of(b));
-    (a[0] - b[0]).hypot(a[1] - b[1]) / b[0].hypot(b[1])
-}
-
 #[test]
 fn the_estimated_error_holds_the_true_one() {
-    // Against level 4; effectivity is estimate over true error.
-    let pressures = [2.0 * PSI];
-    let mut effectivities = Vec::new();
-    for (degrees, width, fibers, wall) in
-        [(40.0, 0.4, 6, 0.8), (60.0, 0.4, 6, 0.8), (25.0, 0.3, 12, 0.8), (50.0, 0.6, 3, 0.8)]
-    {
-        let tube = Tube { fibers, wall: wall * 1e-3, ..tube(degrees, width) };
+    // The true one against level 4, whose own error is a sixteenth of level 1's.
+    let (mut effectivities, mut refused) = (Vec::new(), 0);
+    for seed in 100..130 {
+        let tube = Tube::seeded(seed);
+        let pressures = [0.25, 0.6, 1.0].map(|part| part * tube.moderate_pressure());
         let fine = Section::new(&tube, Mesh::level(4)).unwrap();
         for ends in [Ends::FREE, Ends::BLOCKED] {
-            let reference = fine.curve(&pressures, ends).unwrap();
-            let curve = curve_within(&tube, &pressures, ends, 0.02).unwrap();
-            for ((point, error), reference) in curve.points.iter().zip(&curve.errors).zip(&reference) {
-                let (Ok(point), Some(error), Ok(reference)) = (point, error, reference) else { continue };
-                let truth = difference(&tube, point, reference, ends);
-                assert!(truth <= 0.02, "{degrees} deg: true error {truth}");
-                effectivities.push(error / truth);
+            let curve = curve_within(&tube, &pressures, ends, 5e-3).unwrap();
+            let truth = fine.curve(&pressures, ends).unwrap();
+            let checked = curve.unchecked.unwrap_or(f64::INFINITY);
+            let pairs: Vec<(Outcome, Outcome)> = (curve.points.iter().flatten().zip(truth.iter().flatten()))
+                .filter(|(point, _)| point.pressure <= checked)
+                .map(|(a, b)| (a.into(), b.into()))
+                .collect();
+            match curve.error {
+                Some(error) if !pairs.is_empty() => {
+                    effectivities.push((error / difference(&tube, ends, &pairs), error, seed));
+                }
+                _ => refused += 1,
             }
         }
     }
-    effectivities.sort_by(f64::total_cmp);
-    println!("effectivity: {effectivities:.2?}");
+    effectivities.sort_by(|a, b| a.0.total_cmp(&b.0));
     let count = effectivities.len();
-    assert!(count >= 7, "{count}");
-    let held = effectivities.iter().filter(|e| **e >= 1.0).count();
-    assert!(held * 10 >= count * 8 && effectivities[0] > 0.3, "{effectivities:?}");
-    assert!(effectivities[count / 2] < 20.0, "{effectivities:?}");
+    let held = effectivities.iter().filter(|e| e.0 >= 1.0).count();
+    let [least, middle, most] = [0, count / 2, count - 1].map(|k| effectivities[k].0);
+    println!(
+        "estimated over true error: {held} of {count} at least 1; {least:.2}, {middle:.2}, {most:.2}; {refused} without"
+    );
+    println!("{:.2?}", &effectivities[..5]);
+    assert!(refused <= 3, "{refused}");
+    assert!(held * 100 >= count * 95, "{effectivities:.2?}");
+    // An estimate far above the truth costs a finer mesh than is needed.
+    assert!(least > 0.5 && middle < 5.0, "{effectivities:.2?}");
 }
 
 #[test]
@@ -192,7 +203,7 @@ fn a_smaller_wanted_error_takes_a_finer_mesh() {
     let tube = tube(40.0, 0.4);
     let curves = [5e-3, 5e-4].map(|wanted| curve_within(&tube, &[2.0 * PSI], Ends::BLOCKED, wanted).unwrap());
     for (curve, wanted) in curves.iter().zip([5e-3, 5e-4]) {
-        assert!(curve.error().unwrap() <= wanted && !curve.mesh_dependent);
+        assert!(curve.error.unwrap() <= wanted && !curve.mesh_dependent);
     }
     let unknowns = curves.map(|curve| Section::new(&tube, curve.mesh).unwrap().unknowns());
     assert!(unknowns[0] < unknowns[1], "{unknowns:?}");

@@ -259,33 +259,45 @@ fn ogden(mu: f64, alpha: f64, f: &Matrix3<f64>) -> Result<Response, MaterialErro
         f * right.column(1) / stretch[1],
         f * right.column(2) / stretch[2],
     ]);
-    let dyad = |a: usize, b: usize| -> SMatrix<f64, 9, 1> {
-        SMatrix::from_fn(|row, _| left[(row / 3, a)] * right[(row % 3, b)])
-    };
+    let dyad = |a: usize, b: usize| -> [f64; 9] { std::array::from_fn(|row| left[(row / 3, a)] * right[(row % 3, b)]) };
 
-    let mut tangent = Tangent::zeros();
+    // The tangent is the sum of nine products u v^T.
+    let (mut u, mut v) = ([[0.0; 9]; 9], [[0.0; 9]; 9]);
     let normal = [dyad(0, 0), dyad(1, 1), dyad(2, 2)];
     let mut stress = Matrix3::zeros();
     for a in 0..3 {
         stress += left.column(a) * right.column(a).transpose() * (kirchhoff[a] / stretch[a]);
-        let mut combined = SMatrix::<f64, 9, 1>::zeros();
+        u[a] = normal[a];
         for b in 0..3 {
             let mut second = mean - (curvature[a] + curvature[b]) / 3.0;
             if a == b {
                 second += curvature[a] - kirchhoff[a];
             }
-            combined += normal[b] * (second / (stretch[a] * stretch[b]));
+            let factor = second / (stretch[a] * stretch[b]);
+            for (v, n) in v[a].iter_mut().zip(&normal[b]) {
+                *v += factor * n;
+            }
         }
-        tangent.ger(1.0, &normal[a], &combined, 1.0);
     }
-    for (a, b) in [(0, 1), (0, 2), (1, 2)] {
+    for (k, (a, b)) in [(0, 1), (0, 2), (1, 2)].into_iter().enumerate() {
         let product = stretch[a] * stretch[b];
         let d = log[a] - log[b];
         let shear = mu * (power[a] * power[b]).sqrt() * sinhc(0.5 * alpha * d) / (product * sinhc(d));
         let cross = 0.5 * ((c[a] + c[b]) * shear - (kirchhoff[a] + kirchhoff[b])) / product;
         let (ab, ba) = (dyad(a, b), dyad(b, a));
-        tangent.ger(1.0, &ab, &(ab * shear + ba * cross), 1.0);
-        tangent.ger(1.0, &ba, &(ba * shear + ab * cross), 1.0);
+        (u[3 + 2 * k], u[4 + 2 * k]) = (ab, ba);
+        for i in 0..9 {
+            v[3 + 2 * k][i] = shear * ab[i] + cross * ba[i];
+            v[4 + 2 * k][i] = shear * ba[i] + cross * ab[i];
+        }
+    }
+    let mut tangent = Tangent::zeros();
+    for (u, v) in u.iter().zip(&v) {
+        for (mut column, v) in tangent.column_iter_mut().zip(v) {
+            for (entry, u) in column.iter_mut().zip(u) {
+                *entry += u * v;
+            }
+        }
     }
     Ok(Response { energy, stress, tangent })
 }

@@ -9,7 +9,8 @@
 //! | [`solid`] | finite tube with its ends, mixed hexahedra | any finite strain; end effects, bending, buckling |
 //! | [`rod`], [`module`] | geometrically exact rods under a rigid plate | any bend, payload, buckling |
 //!
-//! [`fidelity`] asks any of them the same question, and chooses the cheapest that a scene needs.
+//! [`fidelity`] asks any of them the same question, and chooses the cheapest that a scene needs; [`measure`] says how
+//! far two of their answers are apart.
 //!
 //! [`lumped`] are the springs that they give the lumped model.
 //!
@@ -22,6 +23,7 @@ pub mod fidelity;
 pub mod linear;
 pub mod lumped;
 pub mod material;
+pub mod measure;
 pub mod module;
 pub mod rod;
 pub mod section;

@@ -96,7 +96,7 @@ type Path = (Vec<Option<Equilibrium>>, Option<Limit>, f64);
 
 fn path(tube: &Tube, pressures: &[f64], ends: Ends, tolerance: f64) -> Result<Path, SectionError> {
     let curve = curve_within(tube, pressures, ends, tolerance)?;
-    let (error, mut end) = (curve.error().unwrap_or(0.0), None);
+    let (error, mut end) = (curve.error.unwrap_or(0.0), None);
     let mut points = Vec::with_capacity(pressures.len());
     for point in curve.points {
         points.push(match point {

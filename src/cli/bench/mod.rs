@@ -3,6 +3,7 @@
 //! A suite is one file with a function from [`Size`] to a [`BenchSuite`], and a line in [`SUITES`] and in [`Args`].
 
 mod control;
+mod fem;
 mod identification;
 mod lumped;
 
@@ -32,13 +33,16 @@ pub struct Args {
     /// Integrators of the lumped model against reference solutions
     #[arg(long)]
     lumped: bool,
+    /// Every tier of the finite elements against the finest section
+    #[arg(long)]
+    fem: bool,
     /// Ring-down fits of FREEs that are not known, against log decrement and curve fit
     #[arg(long)]
     identification: bool,
     /// The controllers on plants that are not the model
     #[arg(long)]
     control: bool,
-    /// FREEs and plants of the studies
+    /// FREEs and plants of the studies; of the finite elements' geometries a fifth
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     count: u64,
 }
@@ -53,8 +57,9 @@ type Suite = fn(&Size) -> Result<BenchSuite, Failure>;
 type Asked = fn(&Args) -> bool;
 
 /// Every suite, in the order of a run without any flag.
-const SUITES: [(Asked, Suite); 3] = [
+const SUITES: [(Asked, Suite); 4] = [
     (|args| args.lumped, lumped::run),
+    (|args| args.fem, fem::run),
     (|args| args.identification, identification::run),
     (|args| args.control, control::run),
 ];

@@ -15,10 +15,8 @@
 //! over the length: a FREE half as long has twice of them, so the difference between a coarse solid and one of half
 //! its length is the estimate, in which most of their mesh's error cancels.
 //!
-//! Errors are relative, the largest over the pressures, and measured in what the ends leave open: of a free FREE
-//! `hypot(d stretch, Ro d twist)` over the largest `hypot(stretch - 1, Ro twist)`, of a blocked one
-//! `hypot(d F, d M / Ro)` over the largest `hypot(F, M / Ro)`. Where one has an equilibrium and the other has none, the
-//! error is infinite.
+//! Errors are relative, over the scene's pressures together, in the one measure that [`super::measure`] derives. Where
+//! one tier has an equilibrium and the other has none, the error is infinite.
 
 mod choice;
 mod error;
@@ -31,6 +29,7 @@ pub use module::{rods_discretisation_error, rods_model_error};
 pub use tiers::{ask, model_error};
 
 use super::ends::Ends;
+use super::measure::{self, Outcome};
 use super::tube::Tube;
 
 /// A tier of the ladder.
@@ -139,26 +138,21 @@ pub struct Answer {
     pub discretisation_error: f64,
 }
 
-/// Relative difference of `points` from `reference`, as the module's theory has it. Zero where nothing moves.
+/// Relative difference of `points` from `reference`, as [`measure::difference`] has it; infinite where one has an
+/// equilibrium and the other has none.
 pub fn difference(points: &[Point], reference: &[Point], scene: &Scene) -> f64 {
-    let radius = scene.tube.outer_radius();
-    let measure = |rest: &Rest| match scene.hold {
-        Hold::Free => (rest.stretch - 1.0, radius * rest.twist),
-        Hold::Blocked => (rest.force, rest.moment / radius),
-    };
-    let (mut largest, mut scale) = (0.0_f64, 0.0_f64);
-    for (point, reference) in points.iter().zip(reference) {
-        match (&point.rest, &reference.rest) {
-            (Some(rest), Some(reference)) => {
-                let (a, b) = (measure(rest), measure(reference));
-                largest = largest.max((a.0 - b.0).hypot(a.1 - b.1));
-                scale = scale.max(b.0.hypot(b.1));
-            }
-            (None, None) => {}
-            _ => return f64::INFINITY,
-        }
+    if points.iter().zip(reference).any(|(a, b)| a.rest.is_some() != b.rest.is_some()) {
+        return f64::INFINITY;
     }
-    if largest == 0.0 { 0.0 } else { largest / scale }
+    let both = points.iter().zip(reference).filter_map(|(a, b)| Some((a.rest?.into(), b.rest?.into())));
+    measure::difference(&scene.tube, scene.hold.ends(), &both.collect::<Vec<_>>())
+}
+
+impl From<Rest> for Outcome {
+    fn from(rest: Rest) -> Outcome {
+        let Rest { stretch, twist, force, moment, .. } = rest;
+        Outcome { stretch, twist, force, moment }
+    }
 }
 
 #[cfg(test)]

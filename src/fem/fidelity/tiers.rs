@@ -75,8 +75,8 @@ pub fn model_error(scene: &Scene, answer: &Answer) -> Result<Option<f64>, Fideli
     }
 }
 
-/// Relative part of the ends in the scene's answer, where `section` has an equilibrium: at its lowest and at its highest
-/// pressure, and there no nearer to a limit than a coarse mesh can tell.
+/// Relative part of the ends in the scene's answer, where `section` has an equilibrium: at its lowest and at its
+/// highest pressure, and there no nearer to a limit than a coarse mesh can tell.
 pub(super) fn end_effects(scene: &Scene, section: &Answer) -> Result<f64, FidelityError> {
     let most = section.limit.as_ref().map_or(f64::INFINITY, |limit| SAFE * limit.pressure.abs());
     let stable = section.points.iter().filter(|p| p.rest.is_some() && p.pressure != 0.0);
@@ -168,7 +168,9 @@ pub(super) fn section(scene: &Scene, tolerance: f64) -> Result<Answer, FidelityE
     for way in scene.ways().iter().filter(|way| !way.is_empty()) {
         let pressures: Vec<f64> = way.iter().map(|&i| scene.pressures[i]).collect();
         let curve = curve_within(&scene.tube, &pressures, scene.hold.ends(), tolerance)?;
-        discretisation_error = discretisation_error.max(curve.error().unwrap_or(0.0));
+        // States beyond a finer mesh's fold depend on the mesh: no error can be told.
+        let error = if curve.unchecked.is_some() { f64::INFINITY } else { curve.error.unwrap_or(0.0) };
+        discretisation_error = discretisation_error.max(error);
         for (&i, found) in way.iter().zip(curve.points) {
             match found {
                 Ok(equilibrium) => points[i].rest = Some(Rest::from(&equilibrium)),

@@ -1,93 +1,140 @@
-//! Discretisation error: estimated from two meshes, and a mesh chosen for a wanted error.
+//! Discretisation error: estimated against a finer mesh, and a mesh chosen for a wanted error.
 //!
-//! From one level of [`Mesh::level`] to the next every length is divided further; the traction's jump at the strip's end
-//! takes the smooth solution's order away, and what is left is about 2. The difference between two levels is then the
-//! error of the coarser one, and more than that of the finer one, which is what is returned.
+//! [`Mesh::level`] 2 n divides every element of level n in two both ways. Smooth fields would leave a sixteenth of the
+//! resultants' error; the traction's jump at the strip's end leaves about a quarter. With half of it at most,
+//!
+//! ```text
+//!     |u_n - u| <= |u_n - u_2n| + |u_2n - u| <= |u_n - u_2n| + |u_n - u| / 2
+//! ```
+//!
+//! so twice the difference between the levels bounds the error of the coarser one. Errors grow along a curve, and are
+//! related to its largest state ([`crate::fem::measure`]): the finer mesh solves the last one only, starting from the
+//! coarser one's solution. A difference may vanish by accident: the estimate has a floor, which falls with the
+//! element's size squared.
+//!
+//! Where the finer mesh folds before ([`super::LimitKind::Folding`] depends on the mesh), it knows nothing of that
+//! state, and the estimate is made farther down; the states beyond have none.
 
+use super::fields::Fields;
+use super::newton::Workspace;
+use super::path::free;
 use super::{LimitKind, Mesh, Section, SectionError};
 use crate::fem::ends::{Ends, Equilibrium};
+use crate::fem::measure::difference;
 use crate::fem::tube::Tube;
 
 /// Finest level that is tried.
-const FINEST: usize = 8;
+const FINEST: usize = 4;
+/// Estimate over the difference from the next level.
+const SAFETY: f64 = 2.0;
+/// Error below which level 1 is not believed to be, whatever the difference says: it may vanish by accident.
+const LEAST: f64 = 5e-4;
 
 /// A curve of equilibria and how far they are from converged ones.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
     /// Equilibria, or why there is none, at the pressures asked for.
     pub points: Vec<Result<Equilibrium, SectionError>>,
-    /// Estimated relative error of each point: the largest of those of (stretch - 1, twist Ro), of (force, moment / Ro)
-    /// and of the mean radius's growth, each as a vector. None past a limit, or where the coarser mesh has none.
-    pub errors: Vec<Option<f64>>,
+    /// Estimated relative error of the equilibria below `unchecked`, as [`crate::fem::measure`] has it; none where a
+    /// finer mesh has none of them.
+    pub error: Option<f64>,
+    /// Magnitude of the pressure (Pa) beyond which the equilibria have no estimate, since a finer mesh folds before:
+    /// they depend on the mesh.
+    pub unchecked: Option<f64>,
     /// The mesh.
     pub mesh: Mesh,
     /// Line fibres: the answers hold for this mesh, and no finer one converges.
     pub mesh_dependent: bool,
 }
 
-impl Curve {
-    /// The largest estimated relative error.
-    pub fn error(&self) -> Option<f64> {
-        self.errors.iter().flatten().copied().reduce(f64::max)
-    }
-}
-
 impl Mesh {
-    /// Graded meshes of rising density, from 1, the default. For the reference tube level 1 leaves 0.03 % of free motion and
-    /// 0.4 % of blocked force (1 % at 80 deg), level 2 about a third of it; wide strips need level 2.
+    /// Graded meshes of rising density, from 1, the default. For the reference tube level 1 leaves up to 0.05 % of free
+    /// motion and 0.4 % of blocked force, level 2 a third of it.
     pub fn level(level: usize) -> Mesh {
         Mesh::Graded { strip: level, growth: 4.0_f64.powf(1.0 / level as f64) }
     }
 }
 
 /// Equilibria of `tube` at `pressures`, Pa, on the coarsest mesh whose estimated error is at most `tolerance`
-/// (relative, 1e-4 to 0.5), or on the finest there is, with the error that it has. A mesh that folds at the strip's end where
-/// a coarser one does not (folding depends on the mesh) is not taken.
+/// (relative, 1e-4 to 0.5), or on the finest there is, with the error that it has. A mesh that folds at the strip's end
+/// where a coarser one does not is not taken.
 pub fn curve_within(tube: &Tube, pressures: &[f64], ends: Ends, tolerance: f64) -> Result<Curve, SectionError> {
     if !(1e-4..=0.5).contains(&tolerance) {
         return Err(SectionError::Tolerance(tolerance));
     }
     // Line fibres do not converge: refining would only cost.
     let mesh_dependent = tube.fiber_width == 0.0;
-    let mut coarse = Section::new(tube, Mesh::level(1))?.curve(pressures, ends)?;
-    let mut level = 2;
+    let mut section = Section::new(tube, Mesh::level(1))?;
+    let mut coarser: Option<Curve> = None;
+    let mut level = 1;
     loop {
-        let mesh = Mesh::level(level);
-        let points = Section::new(tube, mesh)?.curve(pressures, ends)?;
-        let errors: Vec<Option<f64>> = (points.iter().zip(&coarse))
-            .map(|(fine, coarse)| Some(difference(tube, fine.as_ref().ok()?, coarse.as_ref().ok()?)))
-            .collect();
-        // Where the finer mesh folds at the strip's end, it knows less than the coarser: the fold is the mesh's own.
-        if points.iter().zip(&coarse).any(|(fine, coarse)| folds(fine) && coarse.is_ok()) {
-            return Ok(Curve { points: coarse, errors, mesh: Mesh::level(level - 1), mesh_dependent });
+        let (points, fields) = section.walk(pressures, ends)?;
+        if let Some(coarser) = coarser.take_if(|coarser| folds_earlier(&points, &coarser.points)) {
+            return Ok(coarser);
         }
-        let curve = Curve { points, errors, mesh, mesh_dependent };
-        if mesh_dependent || level == FINEST || curve.error().is_none_or(|error| error <= tolerance) {
+        let finer = Section::new(tube, Mesh::level(2 * level))?;
+        let checked = finer.check(&section, &points, &fields, ends)?;
+        let curve = Curve {
+            error: checked.map(|(_, apart)| (SAFETY * apart).max(LEAST / (level * level) as f64)),
+            unchecked: unchecked(&points, checked.map(|(pressure, _)| pressure)),
+            points,
+            mesh: section.mesh,
+            mesh_dependent,
+        };
+        if mesh_dependent || level == FINEST || curve.error.is_none_or(|error| error <= tolerance) {
             return Ok(curve);
         }
-        coarse = curve.points;
-        level += 1;
+        coarser = Some(curve);
+        section = finer;
+        level *= 2;
     }
 }
 
-/// Whether the rubber has folded at the strip's end before the pressure asked for.
-fn folds(point: &Result<Equilibrium, SectionError>) -> bool {
-    matches!(point, Err(SectionError::BeyondLimit { limit, .. }) if limit.kind == LimitKind::Folding)
+/// Whether the rubber of the finer mesh folds at the strip's end where the coarser one has an equilibrium.
+fn folds_earlier(finer: &[Result<Equilibrium, SectionError>], coarser: &[Result<Equilibrium, SectionError>]) -> bool {
+    finer.iter().zip(coarser).any(|(finer, coarser)| match finer {
+        Err(SectionError::BeyondLimit { limit, .. }) => limit.kind == LimitKind::Folding && coarser.is_ok(),
+        _ => false,
+    })
 }
 
-/// Relative difference of two equilibria, see [`Curve::errors`].
-fn difference(tube: &Tube, fine: &Equilibrium, coarse: &Equilibrium) -> f64 {
-    let ro = tube.outer_radius();
-    let groups = |e: &Equilibrium| {
-        [[e.stretch - 1.0, e.twist * ro], [e.force, e.moment / ro], [e.outer_radius_mean / ro - 1.0, 0.0]]
-    };
-    // Below this (no load at all, say), a difference is round-off.
-    let stiffness = tube.law.shear_modulus() * ro * ro;
-    let floor = [1e-9, 1e-9 * stiffness, 1e-9];
-    (groups(fine).iter().zip(&groups(coarse)).zip(floor))
-        .map(|((a, b), floor)| {
-            let change = (a[0] - b[0]).hypot(a[1] - b[1]);
-            if change < floor { 0.0 } else { change / a[0].hypot(a[1]).max(floor) }
-        })
-        .fold(0.0, f64::max)
+/// `checked`, if there are equilibria beyond it.
+fn unchecked(points: &[Result<Equilibrium, SectionError>], checked: Option<f64>) -> Option<f64> {
+    let last = points.iter().flatten().map(|e| e.pressure.abs()).fold(0.0, f64::max);
+    let checked = checked.unwrap_or(0.0);
+    (last > checked).then_some(checked)
+}
+
+impl Section {
+    /// Magnitude of the largest pressure of `points`, of the section `coarser`, at which this finer one has the
+    /// equilibrium, too, and how far the two are apart. Where the last one is not found, halfway to it is tried, and so
+    /// on.
+    fn check(
+        &self,
+        coarser: &Section,
+        points: &[Result<Equilibrium, SectionError>],
+        fields: &[Option<Fields>],
+        ends: Ends,
+    ) -> Result<Option<(f64, f64)>, SectionError> {
+        let mut stable: Vec<(&Equilibrium, &Fields)> = points
+            .iter()
+            .zip(fields)
+            .filter_map(|(point, fields)| Some((point.as_ref().ok()?, fields.as_ref()?)))
+            .collect();
+        stable.sort_by(|a, b| a.0.pressure.abs().total_cmp(&b.0.pressure.abs()));
+        let mut workspace = Workspace::new(&self.sector);
+        while let Some((coarse, fields)) = stable.last() {
+            let conditions = self.conditions(coarse.pressure, ends)?;
+            let start = self.sector.interpolated(&coarser.sector, fields);
+            let found =
+                workspace.solve(&self.sector, start, conditions).filter(|found| found.stable(free(&conditions)));
+            if let Some(solution) = found {
+                let fine = self.outcome(&solution);
+                let apart = difference(&self.tube, ends, &[((*coarse).into(), (&fine).into())]);
+                return Ok(Some((coarse.pressure.abs(), apart)));
+            }
+            stable.truncate(stable.len() / 2);
+        }
+        Ok(None)
+    }
 }

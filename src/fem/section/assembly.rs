@@ -96,24 +96,30 @@ impl Assembly {
         for point in &sector.points[index] {
             local.add_point(sector, point, &values, &fields.multiplier[index], &fields.globals)?;
         }
-        for (gradient, mass) in local.gradient.iter().zip(sector.mass[index]) {
-            let factor = 1.0 / (EPSILON * mass);
-            for b in 0..DOFS {
-                let value = factor * gradient[b];
-                for (target, g) in local.stiffness[b].iter_mut().zip(gradient) {
-                    *target += value * g;
+        let penalty = sector.mass[index].map(|mass| 1.0 / (EPSILON * mass));
+        for (b, &node_b) in nodes.iter().enumerate() {
+            for (a, &node_a) in nodes.iter().enumerate().skip(b) {
+                let block = &mut local.stiffness[b][a];
+                for (gradient, factor) in local.gradient.iter().zip(penalty) {
+                    for c in 0..3 {
+                        let value = factor * gradient[3 * b + c];
+                        for k in 0..3 {
+                            block[3 * c + k] += value * gradient[3 * a + k];
+                        }
+                    }
+                }
+                for c in 0..3 {
+                    for k in if a == b { c } else { 0 }..3 {
+                        self.stiffness.add(3 * node_a + k, 3 * node_b + c, block[3 * c + k]);
+                    }
                 }
             }
-        }
-        let dof = |local: usize| 3 * nodes[local / 3] + local % 3;
-        for b in 0..DOFS {
-            let global = dof(b);
-            for a in b..DOFS {
-                self.stiffness.add(dof(a), global, local.stiffness[b][a]);
+            for c in 0..3 {
+                let (local_dof, global) = (3 * b + c, 3 * node_b + c);
+                self.residual[global] += local.residual[local_dof];
+                self.coupling[0][global] += local.coupling[0][local_dof];
+                self.coupling[1][global] += local.coupling[1][local_dof];
             }
-            self.residual[global] += local.residual[b];
-            self.coupling[0][global] += local.coupling[0][b];
-            self.coupling[1][global] += local.coupling[1][b];
         }
         self.constraint[index] = local.constraint;
         self.gradient[index] = local.gradient;
@@ -257,9 +263,10 @@ impl Assembly {
     }
 }
 
-/// Sums over one element. `stiffness[b][a]` is the entry (a, b); only a >= b in the node is filled.
+/// Sums over one element. `stiffness[b][a][3 c + k]` is the entry in the row of component k of node a and the column of
+/// component c of node b; only a >= b is filled.
 struct Local {
-    stiffness: [[f64; DOFS]; DOFS],
+    stiffness: [[[f64; 9]; NODES]; NODES],
     residual: [f64; DOFS],
     coupling: [[f64; DOFS]; 2],
     constraint: [f64; 3],
@@ -273,7 +280,7 @@ struct Local {
 impl Default for Local {
     fn default() -> Local {
         Local {
-            stiffness: [[0.0; DOFS]; DOFS],
+            stiffness: [[[0.0; 9]; NODES]; NODES],
             residual: [0.0; DOFS],
             coupling: [[0.0; DOFS]; 2],
             constraint: [0.0; 3],
@@ -385,16 +392,20 @@ impl Local {
                 for (k, n) in point.pressure.iter().enumerate() {
                     self.gradient[k][local] += n * volumetric;
                 }
-                let mut column = [0.0; 9];
-                for (row, value) in column.iter_mut().enumerate() {
-                    *value = project(&moduli[row], c);
-                }
-                let target = &mut self.stiffness[local];
-                for a in b..NODES {
-                    let s = &point.shape[a];
+            }
+            // Rows (d_R, d_psi, d) of the moduli against this node's three components, then every node's own shape on
+            // them.
+            let mut rows = [[0.0; 9]; 3];
+            for (which, row) in rows.iter_mut().enumerate() {
+                for c in 0..3 {
                     for k in 0..3 {
-                        target[3 * a + k] += s[0] * column[k] + s[1] * column[3 + k] + s[2] * column[6 + k];
+                        row[3 * c + k] = project(&moduli[3 * which + k], c);
                     }
+                }
+            }
+            for (block, s) in self.stiffness[b][b..].iter_mut().zip(&point.shape[b..]) {
+                for (i, value) in block.iter_mut().enumerate() {
+                    *value += s[0] * rows[0][i] + s[1] * rows[1][i] + s[2] * rows[2][i];
                 }
             }
         }

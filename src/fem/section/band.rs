@@ -3,6 +3,9 @@
 //! No pivoting: the matrices are positive definite on a stable branch, and off it the signs of D give the inertia
 //! (Sylvester), which is what asks for them.
 
+/// Columns that are eliminated together.
+const PANEL: usize = 4;
+
 /// Lower triangle of a symmetric matrix, column by column, each `width` long. Column j reaches down to row
 /// `last[j]`, which never falls from one column to the next, so that the factor fills nothing outside.
 #[derive(Clone, Debug)]
@@ -62,27 +65,56 @@ impl Band {
 
     /// Factorises in place. Number of negative pivots, or None where a pivot is zero or not finite.
     pub(super) fn factorise(&mut self) -> Option<usize> {
-        let width = self.width;
+        let (width, columns) = (self.width, self.last.len());
         let mut negative = 0;
-        for j in 0..self.last.len() {
-            let (head, tail) = self.values.split_at_mut((j + 1) * width);
-            let column = &mut head[j * width..][..=self.last[j] - j];
-            let pivot = column[0];
-            if !pivot.is_finite() || pivot == 0.0 {
-                return None;
-            }
-            negative += usize::from(pivot < 0.0);
-            let inverse = 1.0 / pivot;
-            for k in 1..column.len() {
-                let factor = column[k] * inverse;
-                if factor != 0.0 {
-                    let target = &mut tail[(k - 1) * width..][..column.len() - k];
-                    for (t, s) in target.iter_mut().zip(&column[k..]) {
+        let mut first = 0;
+        while first < columns {
+            // Columns that end in the same row are taken out of the rest together: that reads and writes the rest once.
+            let end = self.last[first];
+            let next = (first + PANEL).min(columns);
+            let next = (first + 1..next).find(|&j| self.last[j] != end).unwrap_or(next);
+            let (head, tail) = self.values.split_at_mut(next * width);
+            let panel = &mut head[first * width..];
+            let mut pivots = [0.0; PANEL];
+            for p in 0..next - first {
+                let (own, others) = panel[p * width..].split_at_mut(width);
+                let own = &mut own[..=end - first - p];
+                let pivot = own[0];
+                if !pivot.is_finite() || pivot == 0.0 {
+                    return None;
+                }
+                negative += usize::from(pivot < 0.0);
+                pivots[p] = pivot;
+                let inverse = 1.0 / pivot;
+                for (k, other) in others.chunks_exact_mut(width).enumerate().take(next - first - p - 1) {
+                    let factor = own[k + 1] * inverse;
+                    for (t, s) in other.iter_mut().zip(&own[k + 1..]) {
                         *t -= factor * s;
                     }
                 }
+                own[1..].iter_mut().for_each(|value| *value *= inverse);
             }
-            column[1..].iter_mut().for_each(|value| *value *= inverse);
+            for (k, target) in tail.chunks_exact_mut(width).enumerate().take((end + 1).saturating_sub(next)) {
+                // Rows from this column's pivot on.
+                let rows = |p: usize| &panel[p * width..][next - first - p + k..=end - first - p];
+                let target = &mut target[..=end - next - k];
+                if next - first == PANEL {
+                    let [a, b, c, d] = [0, 1, 2, 3].map(rows);
+                    let [fa, fb, fc, fd] = [a[0] * pivots[0], b[0] * pivots[1], c[0] * pivots[2], d[0] * pivots[3]];
+                    for ((((t, a), b), c), d) in target.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+                        *t -= (fa * a + fb * b) + (fc * c + fd * d);
+                    }
+                } else {
+                    for (p, pivot) in pivots.iter().enumerate().take(next - first) {
+                        let column = rows(p);
+                        let factor = column[0] * pivot;
+                        for (t, s) in target.iter_mut().zip(column) {
+                            *t -= factor * s;
+                        }
+                    }
+                }
+            }
+            first = next;
         }
         Some(negative)
     }
@@ -103,10 +135,22 @@ impl Band {
         }
         for j in (0..n).rev() {
             let column = &self.values[j * self.width..][1..=self.last[j] - j];
-            let sum: f64 = column.iter().zip(&x[j + 1..]).map(|(l, x)| l * x).sum();
-            x[j] -= sum;
+            x[j] -= dot(column, &x[j + 1..][..column.len()]);
         }
     }
+}
+
+/// Scalar product of two slices of one length, in four sums that do not wait for each other.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<4>(), b.as_chunks::<4>());
+    let mut sums = [0.0; 4];
+    for (a, b) in a.iter().zip(b) {
+        for k in 0..4 {
+            sums[k] += a[k] * b[k];
+        }
+    }
+    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    (sums[0] + sums[1]) + (sums[2] + sums[3]) + rest
 }
 
 #[cfg(test)]

@@ -13,7 +13,8 @@ pub enum LimitKind {
     /// The pressure has a maximum (or minimum) along the path: the tube balloons, or its force or moment gives way.
     Pressure,
     /// The rubber folds at the strip's end at held stretch and twist. Local, and dependent on the mesh: the traction
-    /// jumps at the strip's end, so a finer mesh folds earlier.
+    /// jumps at the strip's end, so a finer mesh folds earlier, down to less than half of the pressure (see the
+    /// module).
     Folding,
     /// Fields that break the symmetry about the fibre grow.
     Asymmetric,
@@ -35,8 +36,8 @@ impl std::fmt::Display for LimitKind {
 /// Last pressure of a path of stable equilibria.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
-    /// Gauge pressure, Pa: an extremum for [`LimitKind::Pressure`] and [`LimitKind::Folding`], otherwise where the symmetry
-    /// breaks.
+    /// Gauge pressure, Pa: an extremum for [`LimitKind::Pressure`] and [`LimitKind::Folding`], otherwise where the
+    /// symmetry breaks.
     pub pressure: f64,
     /// What happens there.
     pub kind: LimitKind,
@@ -50,7 +51,7 @@ pub enum SectionError {
     Tube(#[from] TubeError),
     /// No mesh.
     #[error(
-        "{0:?}: counted: radial 1 to 32, strip and gap 1 to 64, growth 1 to 8; graded: strip 1 to 16, growth 1.2 to 8"
+        "{0:?}: counted: radial 1 to 32, strip and gap 1 to 64, growth 1 to 8; graded: strip 1 to 16, growth 1.05 to 8"
     )]
     Mesh(Mesh),
     /// The wanted error is out of range.

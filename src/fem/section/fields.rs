@@ -37,6 +37,14 @@ pub(super) struct EdgePoint {
     pub(super) shape: [[f64; 2]; 3],
 }
 
+/// A point of an element: xi through the wall and eta round it, -1 to 1.
+struct Place {
+    column: usize,
+    row: usize,
+    xi: f64,
+    eta: f64,
+}
+
 /// The solution's unknowns.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Fields {
@@ -197,6 +205,59 @@ impl Sector {
             multiplier: vec![[0.0; 3]; self.points.len()],
             globals: [1.0, 0.0, 0.0],
         }
+    }
+
+    /// Fields that `coarse` has on another mesh of the same tube.
+    pub(super) fn interpolated(&self, coarse: &Sector, fields: &Fields) -> Fields {
+        let middles = |edges: &[f64], node: usize| {
+            let edges = &edges[node / 2..];
+            if node.is_multiple_of(2) { edges[0] } else { 0.5 * (edges[0] + edges[1]) }
+        };
+        let rings = self.rings();
+        let position = (0..self.nodes()).flat_map(|node| {
+            let at = coarse.locate(middles(&self.grid.radii, node % rings), middles(&self.grid.angles, node / rings));
+            coarse.position_at(fields, &at)
+        });
+        // A linear function from its values in the middle of the element and beside it.
+        let multiplier = |column: usize, row: usize| {
+            let (angle, radius) = (&self.grid.angles[column..], &self.grid.radii[row..]);
+            let at = |xi: f64, eta: f64| {
+                let between = |ends: &[f64], x: f64| 0.5 * (ends[0] * (1.0 - x) + ends[1] * (1.0 + x));
+                let at = coarse.locate(between(radius, xi), between(angle, eta));
+                let [q, by_xi, by_eta] = fields.multiplier[at.column * coarse.rows() + at.row];
+                q + by_xi * at.xi + by_eta * at.eta
+            };
+            [at(0.0, 0.0), at(0.5, 0.0) - at(-0.5, 0.0), at(0.0, 0.5) - at(0.0, -0.5)]
+        };
+        Fields {
+            position: position.collect(),
+            multiplier: (0..self.columns())
+                .flat_map(|column| (0..self.rows()).map(move |row| multiplier(column, row)))
+                .collect(),
+            globals: fields.globals,
+        }
+    }
+
+    /// The element that holds a point, and where in it.
+    fn locate(&self, radius: f64, angle: f64) -> Place {
+        let interval = |edges: &[f64], x: f64| {
+            let index = edges.partition_point(|edge| *edge <= x).clamp(1, edges.len() - 1) - 1;
+            (index, (2.0 * x - edges[index] - edges[index + 1]) / (edges[index + 1] - edges[index]))
+        };
+        let ((row, xi), (column, eta)) = (interval(&self.grid.radii, radius), interval(&self.grid.angles, angle));
+        Place { column, row, xi, eta }
+    }
+
+    fn position_at(&self, fields: &Fields, at: &Place) -> [f64; 3] {
+        let (along, across) = (quadratic(at.eta), quadratic(at.xi));
+        let mut sum = [0.0; 3];
+        for (local, node) in self.element(at.column, at.row).into_iter().enumerate() {
+            let shape = along[local / 3][1] * across[local % 3][1];
+            for (sum, x) in sum.iter_mut().zip(&fields.position[3 * node..]) {
+                *sum += shape * x;
+            }
+        }
+        sum
     }
 
     /// Distance from the axis at a node.

@@ -24,7 +24,7 @@ pub enum Mesh {
     Graded {
         /// Elements in half of the strip, 1 to 16.
         strip: usize,
-        /// Size of an element over that of its neighbour nearer to the strip's end, at most, 1.2 to 8.
+        /// Size of an element over that of its neighbour nearer to the strip's end, at most, 1.05 to 8.
         growth: f64,
     },
 }
@@ -57,7 +57,7 @@ impl Mesh {
                 let counts = (1..=32).contains(&radial) && (1..=64).contains(&strip) && (1..=64).contains(&gap);
                 counts && (1.0..=8.0).contains(&growth)
             }
-            Mesh::Graded { strip, growth } => (1..=16).contains(&strip) && (1.2..=8.0).contains(&growth),
+            Mesh::Graded { strip, growth } => (1..=16).contains(&strip) && (1.05..=8.0).contains(&growth),
         };
         if valid { Ok(self) } else { Err(SectionError::Mesh(self)) }
     }
@@ -93,11 +93,13 @@ impl Grid {
         let (radial, strip, gap, growth) = match mesh {
             Mesh::Counted { radial, strip, gap, growth } => (radial, strip, gap, growth),
             Mesh::Graded { strip, growth } => {
-                let total = (growth.powi(strip as i32) - 1.0) / (growth - 1.0);
+                // Counted for one element in half of the strip, each of which is then divided into `strip`: so the mesh
+                // of 2 n divides every element of that of n.
+                let whole = growth.powi(strip as i32);
                 let across = if half_width > 0.0 { (half_width * cosine).min(wall) } else { 0.25 * wall };
-                let smallest = across / total;
-                let count = |length: f64| (1.0 + length * (growth - 1.0) / smallest).log(growth).round().max(1.0);
-                (count(wall) as usize, strip, count(gap_width * cosine) as usize, growth)
+                let count =
+                    |length: f64| strip * (1.0 + length * (whole - 1.0) / across).log(whole).round().max(1.0) as usize;
+                (count(wall), strip, count(gap_width * cosine), growth)
             }
         };
         let mut radii: Vec<f64> = std::iter::once(1.0).chain(steps(1.0, 1.0 - wall, radial, growth)).collect();

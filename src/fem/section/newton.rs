@@ -8,6 +8,8 @@ use super::saddle::{Increment, Saddle};
 
 /// Iterations of one Newton solve; a start that needs more is too far away.
 const ITERATIONS: usize = 9;
+/// Growth of the residual at which a start is given up at once.
+const LOST: f64 = 10.0;
 /// Residual at which the equilibrium counts as found, in the sector's own units, and its part for the round-off of the
 /// fibres' stretch.
 const TOLERANCE: f64 = 1e-10;
@@ -57,12 +59,18 @@ impl Workspace {
         for iteration in 0..=ITERATIONS {
             self.assembly.fill(sector, &fields).ok()?;
             let norm = self.residual(sector, &fields, conditions);
-            if !norm.is_finite() || (iteration > 4 && norm > best) {
+            if !norm.is_finite() || norm > LOST * best || (iteration > 3 && norm > best) {
                 return None;
             }
             best = best.min(norm);
             let negative = self.saddle.factorise(&self.assembly.stiffness, &sector.even)?;
             let found = norm < tolerance;
+            // Where everything is held and in place, only the answer needs the derivatives by it.
+            let held = (0..3).all(|k| conditions[k] == Condition::Held(fields.globals[k]));
+            if held && !found {
+                fields.advance(&self.saddle.correction(sector, &self.assembly), &Vector3::zeros());
+                continue;
+            }
             let (responses, hessian) = self.saddle.condense(sector, &self.assembly, found);
             if found {
                 let (conjugate, energy) = (self.assembly.conjugate, self.assembly.energy);

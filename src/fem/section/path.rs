@@ -1,17 +1,22 @@
 //! Paths of stable equilibria: steps in pressure and ends, and limits by steps in volume.
 //!
-//! A step is predicted along the tangent (and the parabola through the state before) and accepted only where Newton's method ends near the prediction on an
-//! equilibrium whose second variation is positive definite; otherwise it is halved. Where pressure steps end, the
-//! volume leads: `dP/dV` passes through zero smoothly at a limit point of the pressure.
+//! A step is predicted along the tangent (and the parabola through the state before) and accepted only where Newton's
+//! method ends near the prediction on an equilibrium whose second variation is positive definite; otherwise it is
+//! halved. Where pressure steps end, the volume leads: `dP/dV` passes through zero smoothly at a limit point of the
+//! pressure.
 
 use super::error::{Limit, LimitKind};
-use super::fields::Sector;
+use super::fields::{Fields, Sector};
 use super::newton::{Condition, Solution, Workspace, global_step};
 
 /// Shortest step along a path whose ends move, as a part of it.
 const SHORTEST: f64 = 1.0 / 256.0;
 /// Largest change of the correction over that of the prediction.
 const TRUST: f64 = 0.5;
+/// Largest part of a step's way by which the tangents at its two ends may disagree.
+const JUMP: f64 = 0.1;
+/// Positions over Ro that are the same.
+const ROUND_OFF: f64 = 1e-6;
 /// Largest predicted change of the stretch or of twist times radius in one step.
 const LARGEST: f64 = 0.3;
 
@@ -23,7 +28,8 @@ pub(super) enum End {
     Stopped(f64),
 }
 
-fn free(conditions: &[Condition; 3]) -> [bool; 2] {
+/// Whether stretch and twist are free to move.
+pub(super) fn free(conditions: &[Condition; 3]) -> [bool; 2] {
     [0, 1].map(|k| matches!(conditions[k], Condition::Conjugate(_)))
 }
 
@@ -33,13 +39,35 @@ fn step(sector: &Sector, workspace: &mut Workspace, from: &Solution, conditions:
     if change.x.abs().max(change.y.abs()) > LARGEST {
         return None;
     }
-    let mut start = from.predicted(&change);
+    let tangent = from.predicted(&change);
+    let mut start = tangent.clone();
     from.bend(&mut start, &conditions);
     let predicted = start.position.clone();
     let solution = workspace.solve(sector, start, conditions)?;
     let distance = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
     let gone = distance(&predicted, &from.fields.position) + 1e-3;
-    (distance(&solution.fields.position, &predicted) < TRUST * gone).then_some(solution)
+    let near = distance(&solution.fields.position, &predicted) < TRUST * gone;
+    (near && smooth(from, &tangent, &solution, conditions)).then_some(solution)
+}
+
+/// Whether two equilibria lie on one smooth path: with the steps h between them, the tangent at the first one misses
+/// the second by `h^2 u''/2` and the tangent at the second one misses the first by as much, but for the third order. A
+/// state that has snapped to another branch, by a fold at the strip's end, say, that the step went across, is missed by
+/// the two with opposite signs. The largest node counts: such a fold is local.
+fn smooth(from: &Solution, tangent: &Fields, to: &Solution, conditions: [Condition; 3]) -> bool {
+    let met = std::array::from_fn(|k| match conditions[k] {
+        Condition::Held(_) => Condition::Held(from.fields.globals[k]),
+        Condition::Conjugate(_) => Condition::Conjugate(from.conjugate[k]),
+    });
+    let Some(change) = global_step(&to.hessian, &to.conjugate, &to.fields.globals, met) else { return false };
+    let back = to.predicted(&change);
+    let (here, there) = (&from.fields.position, &to.fields.position);
+    let (mut gone, mut missed) = (0.0_f64, 0.0_f64);
+    for (k, (a, b)) in here.iter().zip(there).enumerate() {
+        gone = gone.max((b - a).abs());
+        missed = missed.max((b - tangent.position[k] - a + back.position[k]).abs());
+    }
+    missed <= JUMP * gone + ROUND_OFF
 }
 
 /// Follows the straight path from the conditions that `solution` meets to `goal`, as far as it is stable.
@@ -128,8 +156,9 @@ pub(super) fn search(
     let stuck = |solution: &Solution| Some(Limit { pressure: solution.fields.globals[2], kind: LimitKind::Folding });
     let Some(first) = slope(solution, free) else { return stuck(solution) };
     let mut size = ((goal - start) / first).abs().min(0.05 * volume_of(solution));
-    let shortest = 1e-7 * volume_of(solution);
+    let shortest = 1e-5 * volume_of(solution);
     let mut beyond: Option<Solution> = None;
+    let mut failed = false;
     // Steps out to the first state that is not stable.
     while beyond.is_none() {
         let target = volume_of(solution) + sign * size;
@@ -141,11 +170,14 @@ pub(super) fn search(
                 let (old, new) = (slope(solution, free)?, slope(&found, free)?);
                 *solution = found;
                 // The slope's own secant says where it will vanish: go there, and a little beyond.
-                size =
-                    if new < old { (1.2 * size * new / (old - new)).clamp(0.1 * size, 2.0 * size) } else { 2.0 * size };
+                // Twice the size has just failed from farther away: it is not tried at once.
+                let most = if failed { size } else { 2.0 * size };
+                size = if new < old { (1.2 * size * new / (old - new)).clamp(0.1 * size, most) } else { most };
+                failed = false;
             }
             Some(found) => beyond = Some(found),
             None => {
+                failed = true;
                 size *= 0.5;
                 if size < shortest {
                     return stuck(solution);

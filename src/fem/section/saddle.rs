@@ -15,8 +15,9 @@ use super::assembly::{Assembly, EPSILON};
 use super::band::Band;
 use super::fields::{NODES, Sector};
 
-/// Passes of the iteration where the answer is wanted to round-off.
-pub(super) const EXACT: usize = 3;
+/// Passes of the iteration where the answer is wanted to round-off: what two leave, EPSILON squared, is below that of
+/// the penalised matrix.
+pub(super) const EXACT: usize = 2;
 
 /// Positions and the M multipliers of every element.
 #[derive(Clone, Debug, PartialEq)]

@@ -228,3 +228,24 @@ fn moving_the_whole_tube_sideways_costs_nothing() {
     // Round-off of the penalty.
     assert!(worst < 1e-13 / EPSILON, "{worst}");
 }
+
+#[test]
+fn fields_on_a_finer_mesh_are_the_coarser_ones() {
+    // Rows and columns of half the size: what is quadratic in an element of the one is in those of the other.
+    let tube = Tube::reference(0.7);
+    let mesh = |n: usize| Mesh::Counted { radial: 2 * n, strip: n, gap: 3 * n, growth: 1.0 };
+    let [coarse, fine] = [1, 2].map(|n| Sector::new(&tube, mesh(n)).unwrap());
+    let mut rng = Pcg64Mcg::seed_from_u64(4);
+    let fields = disturbed(&coarse, &mut rng);
+    let found = fine.interpolated(&coarse, &fields);
+    let (mut a, mut b) = (Assembly::new(&coarse), Assembly::new(&fine));
+    a.fill(&coarse, &fields).unwrap();
+    b.fill(&fine, &found).unwrap();
+    // The same integrals, by quadratures of other points: volumes are polynomials of degree 4 in each direction.
+    assert!((a.conjugate.z / b.conjugate.z - 1.0).abs() < 1e-12);
+    let sum = |assembly: &Assembly| assembly.constraint.iter().map(|c| c[0]).sum::<f64>();
+    assert!((sum(&a) - sum(&b)).abs() < 1e-6, "{} {}", sum(&a), sum(&b));
+    let back = coarse.interpolated(&fine, &found);
+    assert!(back.position.iter().zip(&fields.position).all(|(x, y)| (x - y).abs() < 1e-14));
+    assert_eq!(back.globals, fields.globals);
+}
