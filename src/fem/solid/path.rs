@@ -11,8 +11,8 @@ use super::system::{Control, Direction, System, SystemError};
 use crate::fem::ends::{End, Ends};
 use crate::fem::tube::{Tube, TubeError};
 
-/// Newton iterations of one step.
-const ITERATIONS: usize = 12;
+/// Most tangents of one step.
+const MOST_TANGENTS: usize = 12;
 /// Smallest part of a step that is tried.
 const SMALLEST: f64 = 1.0 / 64.0;
 /// Largest step in pressure that is tried, in units of the shear modulus: about 4 psi for the reference FREE.
@@ -94,6 +94,8 @@ pub struct Solid {
     radius: f64,
     modulus: f64,
     state: State,
+    /// The equilibrium before the last one, under the same tip.
+    before: Option<State>,
     iterations: usize,
 }
 
@@ -118,6 +120,7 @@ impl Solid {
             radius: tube.outer_radius(),
             modulus: tube.law.shear_modulus(),
             state,
+            before: None,
             iterations: 0,
         })
     }
@@ -143,6 +146,7 @@ impl Solid {
     ) -> Result<SolidPath, SolidError> {
         let target = self.hold(tip)?;
         self.state = self.system.body.rest();
+        self.before = None;
         self.iterations = 0;
         self.system.loads = [0.0; COORDINATES];
         let still: &mut dyn FnMut(f64) = &mut |_| {};
@@ -150,6 +154,7 @@ impl Solid {
             // What is held may be out of reach without the pressure that goes with it: then both come together.
             let first = pressures.first().filter(|p| p.is_finite()).ok_or(error)?;
             self.state = self.system.body.rest();
+            self.before = None;
             self.iterations = 0;
             self.system.loads = [0.0; COORDINATES];
             self.go(&Target { gas: first / self.modulus, ..target }, still)?;
@@ -257,6 +262,7 @@ impl Solid {
     fn go(&mut self, target: &Target, told: &mut dyn FnMut(f64)) -> Result<(), SolidError> {
         let start = Target { gas: self.state.gas, loads: self.system.loads, cap: self.state.cap };
         let mut predictor = (self.system.negative() == 0 && self.iterations > 0).then(|| self.predictor()).flatten();
+        let still = start.loads == target.loads && (0..COORDINATES).all(|q| start.cap[q] == target.cap[q] || !self.system.held[q]);
         let (mut done, mut step) = (0.0, 1.0_f64);
         while done < 1.0 {
             let part = (done + step).min(1.0);
@@ -264,7 +270,7 @@ impl Solid {
             let mut state = self.state.clone();
             let gas = between(start.gas, target.gas);
             if let Some(direction) = &predictor {
-                self.system.advance(&mut state, direction, gas - self.state.gas);
+                self.predict(&mut state, direction, gas - self.state.gas);
             }
             state.gas = gas;
             for q in 0..COORDINATES {
@@ -276,7 +282,7 @@ impl Solid {
             self.blend(&mut state);
             // Rest is stable, whatever the system was used for before.
             let before = if self.iterations == 0 { 0 } else { self.system.negative() };
-            let outcome = self.system.solve(&mut state, &Control::pressure(gas), ITERATIONS);
+            let outcome = self.system.solve(&mut state, &Control::pressure(gas), MOST_TANGENTS);
             let found = outcome.and_then(|iterations| {
                 self.iterations += iterations;
                 let next = self.predictor_at(&state);
@@ -288,7 +294,8 @@ impl Solid {
             });
             match found {
                 Ok(next) => {
-                    self.state = state;
+                    let before = std::mem::replace(&mut self.state, state);
+                    self.before = still.then_some(before);
                     predictor = next;
                     done = part;
                     told(done);
@@ -336,6 +343,20 @@ impl Solid {
         Ok(self.system.factorize()?)
     }
 
+    /// Moves `state` on by `step` in pressure along the parabola through the last two equilibria that has the tangent
+    /// `direction` at the last one.
+    fn predict(&self, state: &mut State, direction: &Direction, step: f64) {
+        self.system.advance(state, direction, step);
+        let Some(before) = &self.before else { return };
+        let back = before.gas - self.state.gas;
+        if step.abs() > 2.0 * back.abs() {
+            return;
+        }
+        let mut line = self.state.clone();
+        self.system.advance(&mut line, direction, back);
+        state.add_difference(before, &line, (step / back).powi(2));
+    }
+
     fn predictor(&self) -> Option<Direction> {
         self.predictor_at(&self.state)
     }
@@ -369,7 +390,7 @@ impl Solid {
             let mut state = self.state.clone();
             let control = Control { by_pressure: p, by_volume: v, value: p * self.state.gas + v * volume + step };
             self.system.advance(&mut state, direction, step);
-            match self.system.solve(&mut state, &control, ITERATIONS) {
+            match self.system.solve(&mut state, &control, MOST_TANGENTS) {
                 Ok(iterations) => {
                     self.iterations += iterations;
                     self.state = state;
@@ -430,8 +451,9 @@ impl Solid {
             let change = volume - self.system.volume();
             let mut state = self.state.clone();
             self.system.advance(&mut state, &direction, change);
-            self.iterations += self.system.solve(&mut state, &Control::volume(volume), ITERATIONS)?;
+            self.iterations += self.system.solve(&mut state, &Control::volume(volume), MOST_TANGENTS)?;
             self.state = state;
+            self.restore()?;
             let slope = self.system.direction(false, &Control::volume(1.0)).ok_or(singular)?.gas;
             // P is flat here: its error is slope times the distance to the maximum.
             let close = (slope * (b.0 - a.0)).abs() < 1e-7 * self.state.gas || (b.0 - a.0).abs() < 1e-9 * rest;

@@ -21,15 +21,15 @@ use super::SolidError;
 use super::body::State;
 use super::cap::{AXIAL, COORDINATES, Coordinates, LATERAL};
 use super::mesh::{self, Mesh, Part};
-use super::system::{Dead, Direction, FORCE_TOLERANCE, System, SystemError};
+use super::system::{Dead, Direction, FORCE_TOLERANCE, NEAR, Pace, System, SystemError};
 use crate::fem::module::{Wrench, square};
 use crate::fem::sparse::SparseError;
 use crate::fem::tube::Tube;
 
 /// Tubes of a module.
 pub const TUBES: usize = 4;
-/// Newton iterations of one step.
-const ITERATIONS: usize = 12;
+/// Most tangents of one step.
+const MOST_TANGENTS: usize = 12;
 /// Smallest part of a step that is tried.
 const SMALLEST: f64 = 1.0 / 64.0;
 /// Largest step of a pressure that is tried, in units of the shear modulus: 2 psi for the reference FREE.
@@ -322,33 +322,36 @@ impl SolidModule {
         largest.max(plate.amax())
     }
 
-    /// Newton's iteration at the pressures of the states.
+    /// Newton's iteration at the pressures of the states; a tangent is used again while it gains a digit at a time.
     fn solve(&mut self) -> Result<usize, SystemError> {
-        let (mut first, mut residual) = (f64::INFINITY, f64::INFINITY);
-        for iteration in 0..ITERATIONS {
-            self.linearise()?;
-            residual = self.imbalance();
-            if iteration == 0 {
-                first = residual;
-            }
-            if !residual.is_finite() || (iteration > 2 && residual > 1e3 * first.max(1.0)) {
-                return Err(SystemError::Diverged { iterations: iteration, residual });
-            }
+        let (mut pace, mut iterations) = (Pace::default(), 0);
+        self.linearise()?;
+        let first = self.imbalance();
+        loop {
             let (stiffness, right) = self.closed();
             let plate = self.solved(&stiffness, &-right)?;
             let tubes = self.tubes.iter().map(|t| t.moved(true, &plate, 0.0)).collect();
             let last = self.advance(&Rate { plate, tubes }, 1.0);
-            if !last.is_finite() {
-                return Err(SystemError::Diverged { iterations: iteration + 1, residual });
+            iterations += 1;
+            self.tubes.par_iter_mut().try_for_each(|t| t.system.evaluate(&t.state, false))?;
+            let residual = self.imbalance();
+            if !(last + residual).is_finite() || (iterations > 2 && residual > 1e3 * first.max(1.0)) {
+                return Err(SystemError::Diverged { iterations, residual });
             }
-            if last < 1e-3 {
-                self.tubes.par_iter_mut().try_for_each(|t| t.system.evaluate(&t.state, false))?;
-                if self.imbalance() < FORCE_TOLERANCE && self.tubes.iter().all(|t| t.system.balanced_inside()) {
-                    return Ok(iteration + 1);
-                }
+            let again = pace.again(last);
+            let balanced = residual < FORCE_TOLERANCE && self.tubes.iter().all(|t| t.system.balanced_inside());
+            if last < 1e-3 && pace.moved < NEAR && balanced {
+                return Ok(iterations);
+            }
+            if again {
+                self.tubes.par_iter_mut().for_each(|t| t.system.resolve());
+            } else if pace.tangents < MOST_TANGENTS {
+                self.linearise()?;
+                pace.renew();
+            } else {
+                return Err(SystemError::Diverged { iterations, residual });
             }
         }
-        Err(SystemError::Diverged { iterations: ITERATIONS, residual })
     }
 
     /// The last equilibrium in SI units.

@@ -2,16 +2,16 @@
 
 use nalgebra::{Matrix4, SMatrix, Vector3, Vector4};
 
-use super::{GAS, Kept, STIFF, System, SystemError};
+use super::{GAS, STIFF, System, SystemError};
 use crate::fem::solid::body::{Body, Cell, State, Support};
 use crate::fem::solid::cap::{COORDINATES, TILT, TURN, Tilt};
 use crate::fem::solid::element::{SIZE, TWIST};
-use crate::fem::solid::shapes::{NODES, PRESSURES};
+use crate::fem::solid::shapes::NODES;
 use crate::fem::solid::{fiber, surface};
 use crate::fem::sparse::HELD;
 
 impl System {
-    /// Evaluates residual and, if asked, tangent at `state`.
+    /// Evaluates residual and, if asked, tangent at `state`. Without, the last tangent stays what is corrected with.
     pub fn evaluate(&mut self, state: &State, tangent: bool) -> Result<(), SystemError> {
         let size = self.matrix.size();
         self.energy = 0.0;
@@ -19,12 +19,12 @@ impl System {
         self.misfit = 0.0;
         self.residual.fill(0.0);
         self.cap_residual = [0.0; COORDINATES];
+        self.right.fill(0.0);
+        self.cap_right = [0.0; COORDINATES];
         if tangent {
             self.matrix.clear();
-            self.right.fill(0.0);
             self.border.fill(0.0);
             self.corner = SMatrix::zeros();
-            self.cap_right = [0.0; COORDINATES];
         }
         let tilt = Tilt::of(&state.cap);
         for index in 0..self.body.cells.len() {
@@ -52,52 +52,59 @@ impl System {
                 }
                 sum
             };
-            let force = slope(&out.force);
+            let kept = &mut self.kept[index];
+            kept.misfit = out.misfit;
+            if tangent {
+                let compressibility = self.body.rubber.compressibility;
+                let bulk = if compressibility > 0.0 {
+                    1.0 / compressibility
+                } else {
+                    STIFF * self.body.rubber.law.shear_modulus()
+                };
+                kept.stiffness = out.mass.try_inverse().unwrap_or_else(Matrix4::zeros) * bulk;
+                kept.constraint = out.constraint;
+            }
+            // What is left once the element's pressures have taken up its misfit.
+            let pressures = kept.stiffness * Vector4::from(out.misfit);
+            let mut right = out.force;
+            for (constraint, pressure) in kept.constraint.iter().zip(&pressures) {
+                for (r, c) in right.iter_mut().zip(constraint) {
+                    *r += c * pressure;
+                }
+            }
+            let (force, carried_right) = (slope(&out.force), slope(&right));
             for q in 0..COORDINATES {
                 self.cap_residual[q] += force[q];
+                self.cap_right[q] += carried_right[q];
             }
             let block = &self.matrix.blocks()[index];
             for (r, &unknown) in block.iter().enumerate().filter(|&(_, &u)| u != HELD) {
                 self.residual[unknown] += out.force[r];
+                self.right[unknown] += right[r];
             }
             if !tangent {
                 continue;
             }
 
-            let compressibility = self.body.rubber.compressibility;
-            let bulk = if compressibility > 0.0 {
-                1.0 / compressibility
-            } else {
-                STIFF * self.body.rubber.law.shear_modulus()
-            };
-            let stiffness = out.mass.try_inverse().unwrap_or_else(Matrix4::zeros) * bulk;
-            let misfit = stiffness * Vector4::from(out.misfit);
-            let mut right = out.force;
             for c in 0..SIZE {
-                let column = stiffness * Vector4::from_fn(|a, _| out.constraint[a][c]);
+                let column = kept.stiffness * Vector4::from_fn(|a, _| out.constraint[a][c]);
                 let of_column = &mut out.matrix[SIZE * c..][..SIZE];
-                for a in 0..PRESSURES {
-                    let (constraint, factor) = (&out.constraint[a], column[a]);
-                    for r in 0..SIZE {
-                        of_column[r] += constraint[r] * factor;
+                for (constraint, factor) in out.constraint.iter().zip(&column) {
+                    for (m, r) in of_column.iter_mut().zip(constraint) {
+                        *m += r * factor;
                     }
-                    right[c] += out.constraint[a][c] * misfit[a];
                 }
             }
-            self.kept[index] = Kept { constraint: out.constraint, misfit: out.misfit, stiffness };
             self.matrix.add(index, &out.matrix, SIZE);
             // The border: the turn through the rate of twist, the other coordinates through carried nodes.
             let block = &self.matrix.blocks()[index];
             let by_twist = &out.matrix[SIZE * TWIST..];
             for (r, &unknown) in block.iter().enumerate().filter(|&(_, &u)| u != HELD) {
-                self.right[unknown] += right[r];
                 self.border[TURN * size + unknown] += by_twist[r] / self.body.length;
                 self.border[GAS * size + unknown] -= out.volume_slope[r];
             }
-            let right = slope(&right);
             let volume = slope(&out.volume_slope);
             for q in 0..COORDINATES {
-                self.cap_right[q] += right[q];
                 self.corner[(q, GAS)] -= volume[q];
             }
             self.corner[(TURN, TURN)] += by_twist[TWIST] / (self.body.length * self.body.length);

@@ -41,6 +41,13 @@ impl System {
         Ok(())
     }
 
+    /// Solves for the residual of the last evaluation with the last factorisation, which may be of another state.
+    pub(in crate::fem::solid) fn resolve(&mut self) {
+        let size = self.matrix.size();
+        self.solved[..size].copy_from_slice(&self.right);
+        self.matrix.solve(&mut self.solved[..size]);
+    }
+
     /// The loaded coordinates.
     pub(super) fn active(&self) -> Vec<usize> {
         (0..COORDINATES).filter(|&q| !self.held[q]).collect()

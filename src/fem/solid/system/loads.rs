@@ -64,8 +64,8 @@ impl System {
         for q in 0..COORDINATES {
             let value = dead.slope[q] - state.gas * by[q];
             self.cap_residual[q] += value;
+            self.cap_right[q] += value;
             if tangent {
-                self.cap_right[q] += value;
                 self.corner[(q, GAS)] -= by[q];
                 for p in 0..COORDINATES {
                     self.corner[(q, p)] += dead.second[(q, p)];
@@ -94,9 +94,7 @@ impl System {
                 let unknown = self.unknowns[n][i];
                 if unknown != HELD && dead[i] != 0.0 {
                     self.residual[unknown] -= dead[i];
-                    if tangent {
-                        self.right[unknown] -= dead[i];
-                    }
+                    self.right[unknown] -= dead[i];
                 }
             }
         }

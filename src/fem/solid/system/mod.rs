@@ -25,7 +25,7 @@ use crate::fem::sparse::{HELD, SparseError, Symmetric, dissect};
 
 pub use direction::Direction;
 pub(super) use loads::Dead;
-pub(super) use newton::FORCE_TOLERANCE;
+pub(super) use newton::{FORCE_TOLERANCE, NEAR, Pace};
 pub use newton::{Control, SystemError};
 
 /// Bulk modulus over shear modulus that stands for an incompressible rubber in the tangent.

@@ -12,6 +12,8 @@ use crate::fem::sparse::SparseError;
 pub(in crate::fem::solid) const FORCE_TOLERANCE: f64 = 1e-9;
 /// Largest misfit of an element's volume, relative to that volume.
 const VOLUME_TOLERANCE: f64 = 1e-9;
+/// How far a state may be, in units of the body's length, from the one whose tangent is taken for its own.
+pub(in crate::fem::solid) const NEAR: f64 = 0.05;
 
 /// Why a Newton iteration has not ended in an equilibrium.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
@@ -77,38 +79,71 @@ impl System {
         self.imbalance() < FORCE_TOLERANCE && self.misfit < VOLUME_TOLERANCE && gas.abs() < VOLUME_TOLERANCE
     }
 
-    /// Newton's iteration from `state` to an equilibrium under `control`. On success the last factorisation is that
-    /// of a state within the last increment, and the number of iterations is returned.
+    /// Newton's iteration from `state` to an equilibrium under `control`. A tangent is used again while it gains a
+    /// digit at a time. On success the last factorisation is that of a state within [`NEAR`], and the number of
+    /// corrections is returned.
     pub fn solve(&mut self, state: &mut State, control: &Control, most: usize) -> Result<usize, SystemError> {
         self.body.carry(state);
-        let mut first = f64::INFINITY;
-        let mut residual = f64::INFINITY;
-        for iteration in 0..most {
-            self.evaluate(state, true)?;
-            residual = self.imbalance();
-            if iteration == 0 {
-                first = residual;
-            }
-            if !residual.is_finite() || (iteration > 2 && residual > 1e3 * first.max(1.0)) {
-                return Err(SystemError::Diverged { iterations: iteration, residual });
-            }
-            self.factorize()?;
+        let (mut pace, mut iterations) = (Pace::default(), 0);
+        self.evaluate(state, true)?;
+        let first = self.imbalance();
+        self.factorize()?;
+        loop {
             let value = control.value - control.by_pressure * state.gas - control.by_volume * self.volume;
             let mut direction = self
                 .direction(true, &Control { value, ..*control })
                 .ok_or(SystemError::Sparse(SparseError::Singular(self.matrix.size())))?;
             self.recover(state, true, &mut direction);
             let last = self.advance(state, &direction, 1.0);
-            if !last.is_finite() {
-                return Err(SystemError::Diverged { iterations: iteration + 1, residual });
+            iterations += 1;
+            self.evaluate(state, false)?;
+            let residual = self.imbalance();
+            if !(last + residual).is_finite() || (iterations > 2 && residual > 1e3 * first.max(1.0)) {
+                return Err(SystemError::Diverged { iterations, residual });
             }
-            if last < 1e-3 {
-                self.evaluate(state, false)?;
-                if self.balanced(state, control) {
-                    return Ok(iteration + 1);
-                }
+            let again = pace.again(last);
+            if last < 1e-3 && pace.moved < NEAR && self.balanced(state, control) {
+                return Ok(iterations);
+            }
+            if again {
+                self.resolve();
+            } else if pace.tangents < most {
+                self.evaluate(state, true)?;
+                self.factorize()?;
+                pace.renew();
+            } else {
+                return Err(SystemError::Diverged { iterations, residual });
             }
         }
-        Err(SystemError::Diverged { iterations: most, residual })
+    }
+}
+
+/// How a tangent gets on.
+pub(in crate::fem::solid) struct Pace {
+    /// How far the state has moved since it was made.
+    pub moved: f64,
+    /// Tangents so far.
+    pub tangents: usize,
+    last: f64,
+}
+
+impl Default for Pace {
+    fn default() -> Pace {
+        Pace { moved: 0.0, tangents: 1, last: f64::INFINITY }
+    }
+}
+
+impl Pace {
+    /// Whether the tangent should be used again after a correction of `size`.
+    pub fn again(&mut self, size: f64) -> bool {
+        self.moved += size;
+        let good = size < 0.25 * self.last && self.moved < NEAR;
+        self.last = size;
+        good
+    }
+
+    /// There is a new tangent.
+    pub fn renew(&mut self) {
+        *self = Pace { tangents: self.tangents + 1, ..Pace::default() };
     }
 }
