@@ -24,7 +24,7 @@ fn line(degrees: f64) -> Tube {
 
 fn follow(tube: &Tube, mesh: &Mesh, tip: &Tip, psi: &[f64]) -> SolidPath {
     let pressures: Vec<f64> = psi.iter().map(|p| p * PASCAL_PER_PSI).collect();
-    Solid::new(tube, LENGTH, mesh, None).unwrap().follow(tip, &pressures).unwrap()
+    Solid::new(tube, LENGTH, mesh, None).unwrap().follow(tip, &pressures, &mut |_| {}).unwrap()
 }
 
 fn states(tube: &Tube, mesh: &Mesh, ends: Ends, psi: &[f64]) -> Vec<SolidEquilibrium> {
@@ -85,7 +85,7 @@ fn strips_at_mid_length_are_the_long_tube() {
         let mesh = Mesh { wall: 2, around_growth: 2.2, along_growth: 2.0, first: 1e-3, ..Mesh::sector(&tube) };
         let mut solid = Solid::new(&tube, 0.05, &mesh, None).unwrap();
         let pressures = [1.0, 5.0].map(|psi| psi * PASCAL_PER_PSI);
-        let path = solid.follow(&Tip::straight(Ends::FREE), &pressures).unwrap();
+        let path = solid.follow(&Tip::straight(Ends::FREE), &pressures, &mut |_| {}).unwrap();
         for (state, psi) in path.states.iter().zip([1.0, 5.0]) {
             let rows = table("section.csv");
             let row = rows.iter().find(|r| number(r, 1) == degrees && number(r, 2) == psi).unwrap();
@@ -103,7 +103,8 @@ fn a_free_tube_has_a_pressure_maximum_and_the_branch_goes_on_beyond_it() {
     let tube = line(30.0);
     let mesh = Mesh { wall: 1, around: 3, first: 1e-3, along_growth: 2.0, ..Mesh::sector(&tube) };
     let mut solid = Solid::new(&tube, LENGTH, &mesh, None).unwrap();
-    let path = solid.follow(&Tip::straight(Ends::FREE), &[7.0 * PASCAL_PER_PSI, 9.0 * PASCAL_PER_PSI]).unwrap();
+    let path =
+        solid.follow(&Tip::straight(Ends::FREE), &[7.0 * PASCAL_PER_PSI, 9.0 * PASCAL_PER_PSI], &mut |_| {}).unwrap();
     let PathEnd::Limit(limit) = path.end else { panic!("{:?}", path.end) };
     assert_eq!(path.states.len(), 1);
     assert!((limit / PASCAL_PER_PSI - 7.62).abs() < 0.08, "{}", limit / PASCAL_PER_PSI);
@@ -165,8 +166,8 @@ fn refusals_name_the_rule() {
     let steep = line(89.0);
     assert!(said(&steep, 0.13, &Mesh::whole(&steep), None).contains("steep"));
     let mut solid = Solid::new(&tube, 0.05, &sector, None).unwrap();
-    assert!(solid.follow(&Tip::FREE, &[1e3]).unwrap_err().to_string().contains("cannot bend"));
-    let nan = solid.follow(&Tip::straight(Ends::FREE), &[f64::NAN]).unwrap_err().to_string();
+    assert!(solid.follow(&Tip::FREE, &[1e3], &mut |_| {}).unwrap_err().to_string().contains("cannot bend"));
+    let nan = solid.follow(&Tip::straight(Ends::FREE), &[f64::NAN], &mut |_| {}).unwrap_err().to_string();
     assert!(nan.contains("finite"));
     assert_eq!(sector.part, Part::Sector);
 }

@@ -221,7 +221,7 @@ fn a_thick_bare_tube_is_the_closed_solution_at_mid_length() {
     };
     let mesh = Mesh { wall: 2, around: 1, first: 1e-3, along_growth: 2.0, largest: 4e-3, ..Mesh::sector(&tube) };
     let mut solid = Solid::new(&tube, 0.1, &mesh, None).unwrap();
-    let path = solid.follow(&Tip::straight(Ends::FREE), &[6e4, 1e5]).unwrap();
+    let path = solid.follow(&Tip::straight(Ends::FREE), &[6e4, 1e5], &mut |_| {}).unwrap();
     assert_eq!(path.states.len(), 2);
     for state in path.states {
         let (l, ro, outer) = (state.middle_stretch, state.middle_radius, ri + wall);

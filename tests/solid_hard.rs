@@ -18,7 +18,7 @@ fn coarse(tube: &Tube) -> Mesh {
 
 fn solve(tube: &Tube, ends: Ends, psi: f64, bulk: Option<f64>) -> SolidEquilibrium {
     let mut solid = Solid::new(tube, LENGTH, &coarse(tube), bulk).unwrap();
-    let path = solid.follow(&Tip::straight(ends), &[psi * PASCAL_PER_PSI]).unwrap();
+    let path = solid.follow(&Tip::straight(ends), &[psi * PASCAL_PER_PSI], &mut |_| {}).unwrap();
     assert_eq!(path.end, PathEnd::Reached);
     path.states.into_iter().next().unwrap()
 }
@@ -85,7 +85,7 @@ fn a_closed_cycle_does_no_work() {
     let tube = line(40.0);
     let mut solid = Solid::new(&tube, LENGTH, &coarse(&tube), None).unwrap();
     let psi: Vec<f64> = [2.0, 4.0, 6.0, 4.0, 2.0, -1.0, 0.0].map(|p| p * PASCAL_PER_PSI).to_vec();
-    let path = solid.follow(&Tip::straight(Ends::FREE), &psi).unwrap();
+    let path = solid.follow(&Tip::straight(Ends::FREE), &psi, &mut |_| {}).unwrap();
     let (up, down) = (&path.states[1], &path.states[3]);
     assert!((up.volume - down.volume).abs() < 1e-9 * up.volume && (up.rotation - down.rotation).abs() < 1e-7);
     let rest = path.states.last().unwrap();
@@ -129,7 +129,7 @@ fn a_whole_tube_bends_far_to_any_side_alike() {
     let mut solid = Solid::new(&tube, LENGTH, &mesh, None).unwrap();
     let mut bend = |x: f64, y: f64| {
         let tip = Tip { tilt: [End::Loaded(x), End::Loaded(y)], ..Tip::FREE };
-        let path = solid.follow(&tip, &[0.0]).unwrap();
+        let path = solid.follow(&tip, &[0.0], &mut |_| {}).unwrap();
         path.states.into_iter().next().unwrap()
     };
     let (a, b) = (bend(0.0, 5e-3), bend(5e-3, 0.0));

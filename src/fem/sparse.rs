@@ -6,6 +6,8 @@
 //! from [`dissect`]: the blocks are halved geometrically again and again, and the unknowns that two halves share
 //! are eliminated after both. For solids this needs 2 to 6 times less work than minimum degree.
 
+use std::sync::Arc;
+
 use faer::Par;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::ldlt::factor::LdltRegularization;
@@ -35,21 +37,27 @@ pub enum SparseError {
 
 /// A symmetric matrix (lower half, compressed columns) and its LDL^T factorisation.
 pub struct Symmetric {
-    size: usize,
-    column_starts: Vec<usize>,
-    rows: Vec<usize>,
+    pattern: Arc<Pattern>,
     values: Vec<f64>,
-    /// For each block, the position in `values` of its lower half, column by column; held entries excepted.
-    maps: Vec<Vec<u32>>,
-    blocks: Vec<Vec<usize>>,
-    symbolic: SymbolicCholesky<usize>,
     factor: Vec<f64>,
     memory: MemBuffer,
 }
 
+/// What all matrices that are the sum of the same blocks share.
+struct Pattern {
+    size: usize,
+    column_starts: Vec<usize>,
+    rows: Vec<usize>,
+    /// For each block, the position in the values of its lower half, column by column; held entries excepted.
+    maps: Vec<Vec<u32>>,
+    blocks: Vec<Vec<usize>>,
+    symbolic: SymbolicCholesky<usize>,
+}
+
 impl std::fmt::Debug for Symmetric {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Symmetric({} unknowns, {} entries, {} in the factor)", self.size, self.rows.len(), self.factor.len())
+        let (size, entries) = (self.size(), self.values.len());
+        write!(f, "Symmetric({size} unknowns, {entries} entries, {} in the factor)", self.factor.len())
     }
 }
 
@@ -57,7 +65,6 @@ impl Symmetric {
     /// The system of `size` unknowns that is the sum of dense blocks on the unknowns `blocks` ([`HELD`] rows are
     /// skipped), to be eliminated in the order `order` (a permutation of `0..size`, first eliminated first).
     pub fn new(size: usize, blocks: Vec<Vec<usize>>, order: &[usize]) -> Result<Symmetric, SparseError> {
-        let too_large = |_| SparseError::Memory(size);
         let mut touching: Vec<Vec<u32>> = vec![Vec::new(); size];
         for (b, block) in blocks.iter().enumerate() {
             for &i in block.iter().filter(|&&i| i != HELD) {
@@ -112,19 +119,28 @@ impl Symmetric {
                 ..Default::default()
             },
         )
-        .map_err(too_large_symbolic(size))?;
+        .map_err(|_| SparseError::Memory(size))?;
+        Symmetric::of(Arc::new(Pattern { size, column_starts, rows, maps, blocks, symbolic }))
+    }
+
+    /// Another matrix that is the sum of the same blocks, all zero: it shares the pattern and the elimination order.
+    pub fn alike(&self) -> Result<Symmetric, SparseError> {
+        Symmetric::of(self.pattern.clone())
+    }
+
+    fn of(pattern: Arc<Pattern>) -> Result<Symmetric, SparseError> {
+        let symbolic = &pattern.symbolic;
         let need = symbolic
             .factorize_numeric_ldlt_scratch::<f64>(Par::Seq, Default::default())
             .or(symbolic.solve_in_place_scratch::<f64>(MAX_RIGHT_SIDES, Par::Seq));
-        let memory = MemBuffer::try_new(need).map_err(too_large)?;
-        let factor = vec![0.0; symbolic.len_val()];
-        let values = vec![0.0; rows.len()];
-        Ok(Symmetric { size, column_starts, rows, values, maps, blocks, symbolic, factor, memory })
+        let memory = MemBuffer::try_new(need).map_err(|_| SparseError::Memory(pattern.size))?;
+        let (values, factor) = (vec![0.0; pattern.rows.len()], vec![0.0; symbolic.len_val()]);
+        Ok(Symmetric { pattern, values, factor, memory })
     }
 
     /// Number of unknowns.
     pub fn size(&self) -> usize {
-        self.size
+        self.pattern.size
     }
 
     /// Entries of the factor: what it costs.
@@ -134,7 +150,7 @@ impl Symmetric {
 
     /// The unknowns of each block.
     pub fn blocks(&self) -> &[Vec<usize>] {
-        &self.blocks
+        &self.pattern.blocks
     }
 
     /// Sets all entries to zero.
@@ -145,7 +161,7 @@ impl Symmetric {
     /// Adds a dense symmetric matrix (column-major, both halves filled, at least as large as the block, with
     /// `stride` rows) to block `block`.
     pub fn add(&mut self, block: usize, dense: &[f64], stride: usize) {
-        let (unknowns, map) = (&self.blocks[block], &self.maps[block]);
+        let (unknowns, map) = (&self.pattern.blocks[block], &self.pattern.maps[block]);
         for (c, &column) in unknowns.iter().enumerate() {
             if column == HELD {
                 continue;
@@ -163,10 +179,10 @@ impl Symmetric {
     /// The matrix times a vector.
     #[cfg(test)]
     pub(super) fn times(&self, x: &[f64]) -> Vec<f64> {
-        let mut product = vec![0.0; self.size];
-        for c in 0..self.size {
-            for at in self.column_starts[c]..self.column_starts[c + 1] {
-                let (r, value) = (self.rows[at], self.values[at]);
+        let mut product = vec![0.0; self.pattern.size];
+        for c in 0..self.pattern.size {
+            for at in self.pattern.column_starts[c]..self.pattern.column_starts[c + 1] {
+                let (r, value) = (self.pattern.rows[at], self.values[at]);
                 product[r] += value * x[c];
                 if r != c {
                     product[c] += value * x[r];
@@ -178,9 +194,16 @@ impl Symmetric {
 
     /// Factorises; returns the number of negative pivots, which is the number of negative eigenvalues.
     pub fn factorize(&mut self) -> Result<usize, SparseError> {
-        let singular = SparseError::Singular(self.size);
-        let pattern = SymbolicSparseColMatRef::new_checked(self.size, self.size, &self.column_starts, None, &self.rows);
-        self.symbolic
+        let singular = SparseError::Singular(self.pattern.size);
+        let pattern = SymbolicSparseColMatRef::new_checked(
+            self.pattern.size,
+            self.pattern.size,
+            &self.pattern.column_starts,
+            None,
+            &self.pattern.rows,
+        );
+        self.pattern
+            .symbolic
             .factorize_numeric_ldlt(
                 &mut self.factor,
                 SparseColMatRef::new(pattern, &self.values),
@@ -192,7 +215,7 @@ impl Symmetric {
             )
             .map_err(|_| singular)?;
         let mut negative = 0;
-        if let SymbolicCholeskyRaw::Supernodal(raw) = self.symbolic.raw() {
+        if let SymbolicCholeskyRaw::Supernodal(raw) = self.pattern.symbolic.raw() {
             for s in 0..raw.n_supernodes() {
                 let columns = raw.supernode_end()[s] - raw.supernode_begin()[s];
                 let stride = columns + raw.supernode(s).pattern().len();
@@ -212,10 +235,10 @@ impl Symmetric {
     /// Solves for the right-hand sides in `columns` (column-major, `size` rows, at most [`MAX_RIGHT_SIDES`]) with
     /// the last factorisation, in place.
     pub fn solve(&mut self, columns: &mut [f64]) {
-        let count = columns.len() / self.size.max(1);
-        LdltRef::new(&self.symbolic, &self.factor).solve_in_place_with_conj(
+        let count = columns.len() / self.pattern.size.max(1);
+        LdltRef::new(&self.pattern.symbolic, &self.factor).solve_in_place_with_conj(
             Conj::No,
-            MatMut::from_column_major_slice_mut(columns, self.size, count),
+            MatMut::from_column_major_slice_mut(columns, self.pattern.size, count),
             Par::Seq,
             MemStack::new(&mut self.memory),
         );
@@ -224,10 +247,6 @@ impl Symmetric {
 
 /// Most right-hand sides of one [`Symmetric::solve`].
 pub const MAX_RIGHT_SIDES: usize = 8;
-
-fn too_large_symbolic(size: usize) -> impl Fn(faer::sparse::FaerError) -> SparseError {
-    move |_| SparseError::Memory(size)
-}
 
 /// Position of an entry in a packed triangle, either half.
 fn packed(r: usize, c: usize) -> usize {

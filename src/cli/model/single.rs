@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::cli::table::{Table, number};
 use crate::cli::tube::TubeArgs;
-use crate::cli::{Context, Failure};
+use crate::cli::{Context, Failure, Progress};
 use crate::config::Rig;
 use crate::fem::fidelity::{self, Answer, Considered, FidelityError, Hold, Scene};
 use crate::record::model_sheet;
@@ -149,9 +149,6 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         Ends::Blocked => Hold::Blocked,
     };
     let scene = Scene { tube, length, hold, pressures };
-    if args.fidelity == Fidelity::Solid {
-        context.note("solving the solid: some seconds");
-    }
     let begun = Instant::now();
     let (answer, model_error, reason, considered) = ask(&args, &scene)?;
     let wall_time = begun.elapsed().as_secs_f64();
@@ -184,12 +181,14 @@ type Asked = (Answer, Option<f64>, Option<String>, Vec<Considered>);
 
 fn ask(args: &Args, scene: &Scene) -> Result<Asked, Failure> {
     let tolerance = args.tolerance.si();
+    let mut progress = Progress::new("solid", 100.0, "%");
+    let mut show = |share: f64| progress.set(100.0 * share, "");
     let asked = match args.fidelity.tier() {
-        Some(tier) => fidelity::ask(scene, tier).and_then(|answer| {
+        Some(tier) => fidelity::ask(scene, tier, &mut show).and_then(|answer| {
             let error = fidelity::model_error(scene, &answer)?;
             Ok((answer, error, None, Vec::new()))
         }),
-        None => fidelity::choose(scene, tolerance).map(|choice| {
+        None => fidelity::choose(scene, tolerance, &mut show).map(|choice| {
             let reason = choice.reason(tolerance);
             (choice.answer, choice.model_error, Some(reason), choice.considered)
         }),

@@ -40,11 +40,12 @@ impl Choice {
     }
 }
 
-/// The cheapest tier whose estimated error in `scene` is at most `tolerance` (relative, 0.0005 to 0.5), and its answer.
+/// The cheapest tier whose estimated error in `scene` is at most `tolerance` (relative, 0.0005 to 0.5), and its answer;
+/// `progress` as in [`ask`].
 ///
 /// # Errors
 /// [`FidelityError::NotReached`] where not even the solid is good enough; otherwise as [`ask`].
-pub fn choose(scene: &Scene, tolerance: f64) -> Result<Choice, FidelityError> {
+pub fn choose(scene: &Scene, tolerance: f64, progress: &mut dyn FnMut(f64)) -> Result<Choice, FidelityError> {
     if !(TOLERANCES.0..=TOLERANCES.1).contains(&tolerance) {
         return Err(FidelityError::Tolerance(tolerance));
     }
@@ -61,7 +62,7 @@ pub fn choose(scene: &Scene, tolerance: f64) -> Result<Choice, FidelityError> {
         None => end_effects(scene, &reference).map(|found| *ends.insert(found)),
     };
     for fidelity in [Fidelity::Linear, Fidelity::Nonlinear] {
-        let answer = ask(scene, fidelity)?;
+        let answer = ask(scene, fidelity, progress)?;
         let mut model = difference(&answer.points, &reference.points, scene) + reference.discretisation_error;
         if model <= tolerance {
             model += ends()?;
@@ -81,7 +82,7 @@ pub fn choose(scene: &Scene, tolerance: f64) -> Result<Choice, FidelityError> {
     if estimate <= tolerance {
         return Ok(Choice { answer, model_error: Some(model), considered });
     }
-    let answer = ask(scene, Fidelity::Solid)?;
+    let answer = ask(scene, Fidelity::Solid, progress)?;
     let estimate = answer.discretisation_error;
     considered.push(Considered { fidelity: Fidelity::Solid, estimate });
     if estimate <= tolerance {

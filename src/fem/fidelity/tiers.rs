@@ -17,6 +17,8 @@ const NOTHING: f64 = 1e-12;
 const SECTION_TOLERANCE: f64 = 5e-3;
 /// Share of the section's limit pressure up to which a coarse solid is asked.
 const SAFE: f64 = 0.9;
+/// Share of the solid's time that its usual mesh takes; the rest is the coarse one's.
+const USUAL: f64 = 0.85;
 
 impl Scene {
     /// Checks what no tier can do without.
@@ -44,17 +46,18 @@ impl Scene {
     }
 }
 
-/// What `fidelity` says of `scene`.
+/// What `fidelity` says of `scene`; `progress` is told the share of the way, 0 to 1, by the tier that takes seconds, the
+/// solid.
 ///
 /// # Errors
 /// Where the scene is none, or the tier fails otherwise than at a limit.
-pub fn ask(scene: &Scene, fidelity: Fidelity) -> Result<Answer, FidelityError> {
+pub fn ask(scene: &Scene, fidelity: Fidelity, progress: &mut dyn FnMut(f64)) -> Result<Answer, FidelityError> {
     scene.validated()?;
     match fidelity {
         Fidelity::Linear => linear(scene),
         Fidelity::Nonlinear => nonlinear(scene),
         Fidelity::Section => section(scene, SECTION_TOLERANCE),
-        Fidelity::Solid => solid(scene),
+        Fidelity::Solid => solid(scene, progress),
     }
 }
 
@@ -86,8 +89,8 @@ pub(super) fn end_effects(scene: &Scene, section: &Answer) -> Result<f64, Fideli
     let whole = Scene { pressures, ..scene.clone() };
     let half = Scene { length: 0.5 * scene.length, ..whole.clone() };
     let mesh = ends(&scene.tube);
-    let (points, _) = path(&whole, &mesh)?;
-    let (shorter, _) = path(&half, &mesh)?;
+    let (points, _) = path(&whole, &mesh, &mut |_| {})?;
+    let (shorter, _) = path(&half, &mesh, &mut |_| {})?;
     Ok(common_difference(&shorter, &points, &whole))
 }
 
@@ -186,9 +189,9 @@ pub(super) fn section(scene: &Scene, tolerance: f64) -> Result<Answer, FidelityE
 }
 
 /// The solid on its usual mesh, its discretisation error estimated against the coarse one.
-fn solid(scene: &Scene) -> Result<Answer, FidelityError> {
-    let (points, limit) = path(scene, &solid::Mesh::sector(&scene.tube))?;
-    let (other, _) = path(scene, &coarse(&scene.tube))?;
+fn solid(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Answer, FidelityError> {
+    let (points, limit) = path(scene, &solid::Mesh::sector(&scene.tube), &mut |share| progress(USUAL * share))?;
+    let (other, _) = path(scene, &coarse(&scene.tube), &mut |share| progress(USUAL + (1.0 - USUAL) * share))?;
     let discretisation_error = common_difference(&other, &points, scene);
     Ok(Answer { fidelity: Fidelity::Solid, points, limit, discretisation_error })
 }
@@ -219,12 +222,19 @@ fn coarse(tube: &Tube) -> solid::Mesh {
     }
 }
 
-fn path(scene: &Scene, mesh: &solid::Mesh) -> Result<(Vec<Point>, Option<Limit>), FidelityError> {
+fn path(
+    scene: &Scene,
+    mesh: &solid::Mesh,
+    progress: &mut dyn FnMut(f64),
+) -> Result<(Vec<Point>, Option<Limit>), FidelityError> {
     let mut solid = Solid::new(&scene.tube, scene.length, mesh, None)?;
-    let (mut points, mut limit) = (empty(scene), None);
+    let (mut points, mut limit, mut passed) = (empty(scene), None, 0.0);
     for way in scene.ways().iter().filter(|way| !way.is_empty()) {
         let pressures: Vec<f64> = way.iter().map(|&i| scene.pressures[i]).collect();
-        let path = solid.follow(&Tip::straight(scene.hold.ends()), &pressures)?;
+        let part = way.len() as f64 / scene.pressures.len() as f64;
+        let mut told = |share: f64| progress(passed + part * share);
+        let path = solid.follow(&Tip::straight(scene.hold.ends()), &pressures, &mut told)?;
+        passed += part;
         for (&i, state) in way.iter().zip(&path.states) {
             points[i].rest = Some(rest_of(state, scene.length));
         }
@@ -247,7 +257,7 @@ fn rest_of(state: &SolidEquilibrium, length: f64) -> Rest {
         twist: state.rotation / length,
         stretch: state.stretch,
         outer_radius_mean: state.middle_radius,
-        outer_radius_at_fiber: None,
+        outer_radius_at_fiber: Some(state.middle_radius_at_fiber),
         force: state.force,
         moment: state.moment,
     }

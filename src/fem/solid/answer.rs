@@ -9,8 +9,10 @@ pub struct Station {
     pub position: f64,
     /// Its turn about z, rad, right-handed and counted on beyond a whole turn.
     pub turn: f64,
-    /// Outer radius averaged over the reference circumference, m.
+    /// Outer radius averaged over the reference circumference, m; in x and y, about the section's middle.
     pub outer_radius_mean: f64,
+    /// Outer radius in the middle of a fibre, m; in x and y, about the section's middle.
+    pub outer_radius_at_fiber: f64,
 }
 
 /// An equilibrium of a finite tube with a rigid cap.
@@ -28,6 +30,8 @@ pub struct SolidEquilibrium {
     pub middle_stretch: f64,
     /// Outer radius at mid-length, averaged over the reference circumference, m.
     pub middle_radius: f64,
+    /// Outer radius in the middle of a fibre at mid-length, m.
+    pub middle_radius_at_fiber: f64,
     /// Displacement of the cap's centre in x and y, m.
     pub lateral: [f64; 2],
     /// Tilt of the cap (rotation vector's x and y, in space), rad.

@@ -73,6 +73,22 @@ pub struct State {
     pub gas: f64,
 }
 
+impl State {
+    /// Adds `factor` times the difference of two states, the gas apart.
+    pub(super) fn add_difference(&mut self, a: &State, b: &State, factor: f64) {
+        for (y, (a, b)) in self.positions.iter_mut().zip(a.positions.iter().zip(&b.positions)) {
+            *y += (a - b) * factor;
+        }
+        let (a_pressures, b_pressures) = (a.pressures.iter().flatten(), b.pressures.iter().flatten());
+        for (p, (a, b)) in self.pressures.iter_mut().flatten().zip(a_pressures.zip(b_pressures)) {
+            *p += (a - b) * factor;
+        }
+        for (q, (a, b)) in self.cap.iter_mut().zip(a.cap.iter().zip(&b.cap)) {
+            *q += (a - b) * factor;
+        }
+    }
+}
+
 impl Body {
     /// At rest.
     pub fn rest(&self) -> State {

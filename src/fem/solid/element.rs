@@ -34,6 +34,8 @@ pub const TWIST: usize = SIZE - 1;
 /// Local bulk modulus k over the shear modulus.
 pub const LOCAL_BULK: f64 = 2.0 / 3.0;
 const STACK: usize = 4 * POINTS;
+/// Components (of the row, of the column) of the tangent's blocks; the others are mirror images.
+const PAIRS: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
 /// Positions of an element's nodes.
 pub type Positions = [Vector3<f64>; NODES];
@@ -135,7 +137,7 @@ pub struct Kernel {
     shapes: Vec<Shape>,
     /// (gradients and value) of the shape functions at all points: `STACK` rows, a column for each node.
     gradients: Vec<f64>,
-    /// Tangent times gradients: `STACK` rows, columns (i, node, k).
+    /// Tangent times gradients: `STACK` rows, columns (pair of components, node).
     products: Vec<f64>,
     result: Vec<f64>,
 }
@@ -145,8 +147,8 @@ impl Default for Kernel {
         Kernel {
             shapes: Shape::gauss(),
             gradients: vec![0.0; STACK * NODES],
-            products: vec![0.0; STACK * 9 * NODES],
-            result: vec![0.0; NODES * 9 * NODES],
+            products: vec![0.0; STACK * PAIRS.len() * NODES],
+            result: vec![0.0; NODES * PAIRS.len() * NODES],
         }
     }
 }
@@ -277,16 +279,14 @@ impl Kernel {
             let blocks = modulus12(&modulus, &turn);
             for (n, gradient) in gradient.iter().enumerate() {
                 self.gradients[STACK * n + 4 * g..][..4].copy_from_slice(gradient);
-                for i in 0..3 {
-                    for k in 0..3 {
-                        let block = &blocks[i][k];
-                        let target = &mut self.products[STACK * (i * 3 * NODES + 3 * n + k) + 4 * g..][..4];
-                        for m in 0..4 {
-                            target[m] = block[0][m] * gradient[0]
-                                + block[1][m] * gradient[1]
-                                + block[2][m] * gradient[2]
-                                + block[3][m] * gradient[3];
-                        }
+                for (pair, (i, k)) in PAIRS.into_iter().enumerate() {
+                    let block = &blocks[i][k];
+                    let target = &mut self.products[STACK * (NODES * pair + n) + 4 * g..][..4];
+                    for m in 0..4 {
+                        target[m] = block[0][m] * gradient[0]
+                            + block[1][m] * gradient[1]
+                            + block[2][m] * gradient[2]
+                            + block[3][m] * gradient[3];
                     }
                 }
             }
@@ -295,19 +295,19 @@ impl Kernel {
             return Ok(());
         }
         matmul(
-            MatMut::from_column_major_slice_mut(&mut self.result, NODES, 9 * NODES),
+            MatMut::from_column_major_slice_mut(&mut self.result, NODES, PAIRS.len() * NODES),
             Accum::Replace,
             MatRef::from_column_major_slice(&self.gradients, STACK, NODES).transpose(),
-            MatRef::from_column_major_slice(&self.products, STACK, 9 * NODES),
+            MatRef::from_column_major_slice(&self.products, STACK, PAIRS.len() * NODES),
             1.0,
             Par::Seq,
         );
-        for i in 0..3 {
-            for column in 0..3 * NODES {
-                let from = &self.result[NODES * (i * 3 * NODES + column)..][..NODES];
-                let to = &mut out.matrix[SIZE * column..][..SIZE];
-                for n in 0..NODES {
-                    to[3 * n + i] = from[n];
+        for (pair, (i, k)) in PAIRS.into_iter().enumerate() {
+            for m in 0..NODES {
+                let from = &self.result[NODES * (NODES * pair + m)..][..NODES];
+                for (n, value) in from.iter().enumerate() {
+                    out.matrix[SIZE * (3 * m + k) + 3 * n + i] = *value;
+                    out.matrix[SIZE * (3 * n + i) + 3 * m + k] = *value;
                 }
             }
         }

@@ -127,6 +127,8 @@ pub(super) struct Meshed {
     pub planes: Vec<f64>,
     /// Nodes of the outer surface of each plane, with weights that sum to 1.
     pub outer: Vec<Vec<(usize, f64)>>,
+    /// Node in the middle of a fibre, of each plane.
+    pub fiber: Vec<usize>,
     /// How many times the body makes the tube.
     pub copies: f64,
 }
@@ -268,6 +270,9 @@ pub(super) fn tube(tube: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> 
     let outer = (0..planes.len())
         .map(|k| weights.iter().enumerate().map(|(j, &w)| (index(n_wall - 1, j, k), w)).collect())
         .collect();
+    // The fibre's middle is at angle 0 of the base: the first node of a line's sector, the strip's middle one.
+    let middle = if strip == 0.0 { 0 } else { mesh.around };
+    let fiber = (0..planes.len()).map(|k| index(n_wall - 1, middle, k)).collect();
     let mu = tube.law.shear_modulus();
     let body = Body {
         reference,
@@ -280,7 +285,7 @@ pub(super) fn tube(tube: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> 
         cap_center: Vector3::new(0.0, 0.0, length),
     };
     let copies = if mesh.part == Part::Whole { 1.0 } else { tube.fibers as f64 };
-    Ok(Meshed { body, planes, outer, copies })
+    Ok(Meshed { body, planes, outer, fiber, copies })
 }
 
 /// The body of a tube of `length` m alone, in units of its outer radius and shear modulus.

@@ -11,8 +11,8 @@ use super::system::{Control, Direction, System, SystemError};
 use crate::fem::ends::{End, Ends};
 use crate::fem::tube::{Tube, TubeError};
 
-/// Newton iterations of one step.
-const ITERATIONS: usize = 12;
+/// Most tangents of one step.
+const MOST_TANGENTS: usize = 12;
 /// Smallest part of a step that is tried.
 const SMALLEST: f64 = 1.0 / 64.0;
 /// Largest step in pressure that is tried, in units of the shear modulus: about 4 psi for the reference FREE.
@@ -36,6 +36,14 @@ pub enum SolidError {
     /// Bending asked of a sector.
     #[error("lateral loads on a sector with cyclic symmetry, which cannot bend: mesh the whole circumference")]
     Lateral,
+    /// Tubes of a module that overlap at rest.
+    #[error("spacing {spacing} m of the tubes' centres: must be at least their outer diameter, {least} m, and finite")]
+    Spacing {
+        /// Centre to centre, m.
+        spacing: f64,
+        /// Outer diameter, m.
+        least: f64,
+    },
     /// A number that is not finite.
     #[error("{what} {value}: must be finite")]
     NotFinite {
@@ -80,11 +88,14 @@ pub struct Solid {
     system: System,
     planes: Vec<f64>,
     outer: Vec<Vec<(usize, f64)>>,
+    fiber: Vec<usize>,
     copies: f64,
     part: Part,
     radius: f64,
     modulus: f64,
     state: State,
+    /// The equilibrium before the last one, under the same tip.
+    before: Option<State>,
     iterations: usize,
 }
 
@@ -103,11 +114,13 @@ impl Solid {
             system,
             planes: meshed.planes,
             outer: meshed.outer,
+            fiber: meshed.fiber,
             copies: meshed.copies,
             part: mesh.part,
             radius: tube.outer_radius(),
             modulus: tube.law.shear_modulus(),
             state,
+            before: None,
             iterations: 0,
         })
     }
@@ -122,32 +135,47 @@ impl Solid {
         &self.state
     }
 
-    /// Equilibria from rest, under `tip`, at the gauge pressures `pressures`, Pa, one after the other. A path that
-    /// ends early says why; a tip that cannot be reached is an error.
-    pub fn follow(&mut self, tip: &Tip, pressures: &[f64]) -> Result<SolidPath, SolidError> {
+    /// Equilibria from rest, under `tip`, at the gauge pressures `pressures`, Pa, one after the other; `progress` is
+    /// told the share of the way, 0 to 1, at each equilibrium. A path that ends early says why; a tip that cannot be
+    /// reached is an error.
+    pub fn follow(
+        &mut self,
+        tip: &Tip,
+        pressures: &[f64],
+        progress: &mut dyn FnMut(f64),
+    ) -> Result<SolidPath, SolidError> {
         let target = self.hold(tip)?;
         self.state = self.system.body.rest();
+        self.before = None;
         self.iterations = 0;
         self.system.loads = [0.0; COORDINATES];
-        if let Err(error) = self.go(&Target { gas: 0.0, ..target }) {
+        let still: &mut dyn FnMut(f64) = &mut |_| {};
+        if let Err(error) = self.go(&Target { gas: 0.0, ..target }, still) {
             // What is held may be out of reach without the pressure that goes with it: then both come together.
             let first = pressures.first().filter(|p| p.is_finite()).ok_or(error)?;
             self.state = self.system.body.rest();
+            self.before = None;
             self.iterations = 0;
             self.system.loads = [0.0; COORDINATES];
-            self.go(&Target { gas: first / self.modulus, ..target })?;
+            self.go(&Target { gas: first / self.modulus, ..target }, still)?;
         }
         let mut path = SolidPath { states: Vec::new(), end: PathEnd::Reached, iterations: 0 };
-        for &pressure in pressures {
-            if !pressure.is_finite() {
-                return Err(SolidError::NotFinite { what: "pressure", value: pressure });
-            }
+        if let Some(&value) = pressures.iter().find(|p| !p.is_finite()) {
+            return Err(SolidError::NotFinite { what: "pressure", value });
+        }
+        let mut last = 0.0;
+        let ways: Vec<f64> = pressures.iter().map(|&p| (p - std::mem::replace(&mut last, p)).abs()).collect();
+        let total = ways.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        let mut passed = 0.0;
+        for (&pressure, way) in pressures.iter().zip(ways) {
             let goal = pressure / self.modulus;
             let steps = ((goal - self.state.gas).abs() / LARGEST_STEP).ceil().max(1.0);
             let start = self.state.gas;
             for step in 1..=steps as usize {
                 let gas = start + (goal - start) * step as f64 / steps;
-                if self.go(&Target { gas, ..target }).is_err() {
+                let piece = way / steps;
+                let mut told = |part: f64| progress(((passed + part * piece) / total).min(1.0));
+                if self.go(&Target { gas, ..target }, &mut told).is_err() {
                     path.end = match self.limit(goal)? {
                         Some(limit) => PathEnd::Limit(limit),
                         None => PathEnd::Stuck(self.state.gas * self.modulus),
@@ -155,6 +183,7 @@ impl Solid {
                     path.iterations = self.iterations;
                     return Ok(path);
                 }
+                passed += piece;
             }
             path.states.push(self.answer());
         }
@@ -229,10 +258,11 @@ impl Solid {
         self.system.body.cap_area() * self.system.body.length
     }
 
-    /// Goes to `target` in as many steps as it takes.
-    fn go(&mut self, target: &Target) -> Result<(), SolidError> {
+    /// Goes to `target` in as many steps as it takes; `told` hears the share of them.
+    fn go(&mut self, target: &Target, told: &mut dyn FnMut(f64)) -> Result<(), SolidError> {
         let start = Target { gas: self.state.gas, loads: self.system.loads, cap: self.state.cap };
         let mut predictor = (self.system.negative() == 0 && self.iterations > 0).then(|| self.predictor()).flatten();
+        let still = start.loads == target.loads && (0..COORDINATES).all(|q| start.cap[q] == target.cap[q] || !self.system.held[q]);
         let (mut done, mut step) = (0.0, 1.0_f64);
         while done < 1.0 {
             let part = (done + step).min(1.0);
@@ -240,7 +270,7 @@ impl Solid {
             let mut state = self.state.clone();
             let gas = between(start.gas, target.gas);
             if let Some(direction) = &predictor {
-                self.system.advance(&mut state, direction, gas - self.state.gas);
+                self.predict(&mut state, direction, gas - self.state.gas);
             }
             state.gas = gas;
             for q in 0..COORDINATES {
@@ -252,7 +282,7 @@ impl Solid {
             self.blend(&mut state);
             // Rest is stable, whatever the system was used for before.
             let before = if self.iterations == 0 { 0 } else { self.system.negative() };
-            let outcome = self.system.solve(&mut state, &Control::pressure(gas), ITERATIONS);
+            let outcome = self.system.solve(&mut state, &Control::pressure(gas), MOST_TANGENTS);
             let found = outcome.and_then(|iterations| {
                 self.iterations += iterations;
                 let next = self.predictor_at(&state);
@@ -264,9 +294,11 @@ impl Solid {
             });
             match found {
                 Ok(next) => {
-                    self.state = state;
+                    let before = std::mem::replace(&mut self.state, state);
+                    self.before = still.then_some(before);
                     predictor = next;
                     done = part;
+                    told(done);
                     step *= 2.0;
                 }
                 Err(error) => {
@@ -311,6 +343,20 @@ impl Solid {
         Ok(self.system.factorize()?)
     }
 
+    /// Moves `state` on by `step` in pressure along the parabola through the last two equilibria that has the tangent
+    /// `direction` at the last one.
+    fn predict(&self, state: &mut State, direction: &Direction, step: f64) {
+        self.system.advance(state, direction, step);
+        let Some(before) = &self.before else { return };
+        let back = before.gas - self.state.gas;
+        if step.abs() > 2.0 * back.abs() {
+            return;
+        }
+        let mut line = self.state.clone();
+        self.system.advance(&mut line, direction, back);
+        state.add_difference(before, &line, (step / back).powi(2));
+    }
+
     fn predictor(&self) -> Option<Direction> {
         self.predictor_at(&self.state)
     }
@@ -344,7 +390,7 @@ impl Solid {
             let mut state = self.state.clone();
             let control = Control { by_pressure: p, by_volume: v, value: p * self.state.gas + v * volume + step };
             self.system.advance(&mut state, direction, step);
-            match self.system.solve(&mut state, &control, ITERATIONS) {
+            match self.system.solve(&mut state, &control, MOST_TANGENTS) {
                 Ok(iterations) => {
                     self.iterations += iterations;
                     self.state = state;
@@ -405,8 +451,9 @@ impl Solid {
             let change = volume - self.system.volume();
             let mut state = self.state.clone();
             self.system.advance(&mut state, &direction, change);
-            self.iterations += self.system.solve(&mut state, &Control::volume(volume), ITERATIONS)?;
+            self.iterations += self.system.solve(&mut state, &Control::volume(volume), MOST_TANGENTS)?;
             self.state = state;
+            self.restore()?;
             let slope = self.system.direction(false, &Control::volume(1.0)).ok_or(singular)?.gas;
             // P is flat here: its error is slope times the distance to the maximum.
             let close = (slope * (b.0 - a.0)).abs() < 1e-7 * self.state.gas || (b.0 - a.0).abs() < 1e-9 * rest;
@@ -428,17 +475,30 @@ impl Solid {
     fn answer(&self) -> SolidEquilibrium {
         let body = &self.system.body;
         let (radius, cap) = (self.radius, &self.state.cap);
-        let profile: Vec<Station> = (self.planes.iter().zip(&self.outer))
-            .map(|(&z, nodes)| {
-                let (mut position, mut turn, mut mean) = (0.0, 0.0, 0.0);
+        let profile: Vec<Station> = (self.planes.iter().zip(self.outer.iter().zip(&self.fiber)))
+            .map(|(&z, (nodes, &fiber))| {
+                let mut middle = Vector3::zeros();
                 for &(n, weight) in nodes {
-                    let (rest, here): (&Vector3<f64>, _) = (&body.reference[n], &self.state.positions[n]);
-                    position += weight * here.z;
+                    middle += self.state.positions[n] * weight;
+                }
+                if self.part == Part::Sector {
+                    // Its positions are polar components.
+                    (middle.x, middle.y) = (0.0, 0.0);
+                }
+                let (mut turn, mut mean) = (cap[TURN] * z / body.length, 0.0);
+                for &(n, weight) in nodes {
+                    let (rest, here) = (&body.reference[n], self.state.positions[n] - middle);
                     mean += weight * here.x.hypot(here.y);
                     turn += weight * (rest.x * here.y - rest.y * here.x).atan2(rest.x * here.x + rest.y * here.y);
                 }
-                turn += cap[TURN] * z / body.length;
-                Station { reference: z * radius, position: position * radius, turn, outer_radius_mean: mean * radius }
+                let at_fiber = self.state.positions[fiber] - middle;
+                Station {
+                    reference: z * radius,
+                    position: middle.z * radius,
+                    turn,
+                    outer_radius_mean: mean * radius,
+                    outer_radius_at_fiber: at_fiber.x.hypot(at_fiber.y) * radius,
+                }
             })
             .collect();
         // Slope of the quadratic interpolation in the middle, the mean of both sides.
@@ -462,6 +522,7 @@ impl Solid {
             middle_twist: slope(|s| s.turn),
             middle_stretch: slope(|s| s.position),
             middle_radius: profile[m].outer_radius_mean,
+            middle_radius_at_fiber: profile[m].outer_radius_at_fiber,
             lateral: of(cap, LATERAL, radius),
             tilt: of(cap, TILT, 1.0),
             force: held[AXIAL] * force,
