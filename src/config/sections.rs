@@ -11,6 +11,7 @@ use super::free::{RawFree, read_free};
 use super::load::{Files, Library};
 use super::reader::Section;
 use super::rig::{Backend, LoopConfig, RecordConfig, SocketConfig};
+use crate::hardware::wiring::GpioWiring;
 use crate::signal::MAX_FREES;
 
 /// The whole of rig.toml.
@@ -25,6 +26,7 @@ pub(super) struct RawRig {
     pub(super) socket: SocketConfig,
     pub(super) i2c: Vec<RawI2c>,
     pub(super) serial: Vec<RawSerial>,
+    pub(super) gpio: Option<GpioWiring>,
     pub(super) sim: RawSim,
     pub(super) frees: Vec<RawFree>,
 }
@@ -81,6 +83,7 @@ pub(super) fn read_rig(mut root: Section<'_>, base: &Path, files: &mut Files) ->
         safety: read_safety(root.section("safety")),
         record: read_record(root.section("record")),
         socket: read_socket(root.section("socket"), base),
+        gpio: root.has("gpio").then(|| read_gpio(root.section("gpio"))),
         sim: read_sim(root.section("sim")),
         frees: read_frees(&mut root, &i2c, &serial, &mut Library::new(&calibration_directory, files), backend),
         calibration_directory,
@@ -132,6 +135,21 @@ pub(super) fn read_socket(mut section: Section<'_>, base: &Path) -> SocketConfig
         );
     }
     SocketConfig { path, group: section.optional_text("group") }
+}
+
+fn read_gpio(mut section: Section<'_>) -> GpioWiring {
+    let chip = PathBuf::from(section.text("chip", "/dev/gpiochip0"));
+    let mut line = |key| section.has(key).then(|| section.integer(key, 0, 0..=1023) as u32);
+    let (dump_valve, heartbeat, estop) = (line("dump_valve"), line("heartbeat"), line("estop"));
+    if heartbeat.is_some() && dump_valve.is_none() {
+        section.reject("heartbeat", "is the dump valve's, and there is none", "add `dump_valve` with the line of its coil");
+    }
+    let lines: Vec<u32> = dump_valve.into_iter().chain(heartbeat).chain(estop).collect();
+    if (1..lines.len()).any(|i| lines[..i].contains(&lines[i])) {
+        let key = if estop.is_some() { "estop" } else { "heartbeat" };
+        section.reject(key, "another line has this number", "give every line a number of its own (gpioinfo lists them)");
+    }
+    GpioWiring { chip, dump_valve, heartbeat, estop }
 }
 
 fn read_sim(mut section: Section<'_>) -> RawSim {

@@ -21,7 +21,7 @@ pub mod tune;
 
 pub use controller::{ControlError, Controller};
 pub use design::default_gains;
-pub use fault::{FirstErrors, MATRIX, Reaction};
+pub use fault::{MATRIX, Reaction};
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -14,7 +14,9 @@ use super::{Bench, DaemonError, Pump};
 use crate::clock::{Clock, Time};
 use crate::config::Rig;
 use crate::control::{FreeControl, Request};
-use crate::hardware::{DeviceStatistics, I2cOwner, ProfileDesk, SerialOwner, ValveOwner, i2c, serial};
+use crate::hardware::gpio::{self, EstopInput, GpioValve, OpenPin};
+use crate::hardware::wiring::GpioWiring;
+use crate::hardware::{DeviceStatistics, DumpValve, I2cOwner, ProfileDesk, SerialOwner, ValveOwner, i2c, serial};
 use crate::record::Recorder;
 use crate::rt;
 use crate::signal::{FreeTick, RegulatorHealth, TickRecord};
@@ -146,15 +148,39 @@ impl Live {
             owners.push(thread);
         }
 
-        if let (Some(command), Some(sim)) = (valve, &sim) {
-            let owner = ValveOwner::new(sim.dump_valve(clock.fork()), command, clock.fork(), timeout);
-            let stop = Arc::clone(&stop_owners);
-            let promote = promote.clone();
-            let serve = move || {
-                promote();
-                owner.run(&stop);
+        let wired = rig.wiring.gpio.as_ref();
+        if let Some(command) = valve {
+            let (stop, promote, here) = (Arc::clone(&stop_owners), promote.clone(), clock.fork());
+            let thread = match (&sim, wired.and_then(|gpio| Some((gpio, gpio.dump_valve?)))) {
+                (Some(sim), _) => {
+                    let owner = ValveOwner::new(sim.dump_valve(clock.fork()), command, here, timeout);
+                    Some(named("dump-valve", move || serve_valve(owner, &stop, promote))?)
+                }
+                (None, Some((gpio, line))) => {
+                    let heartbeat = gpio.heartbeat.map(|line| output(gpio, line));
+                    let valve = GpioValve::new(output(gpio, line), heartbeat, &clock);
+                    let owner = ValveOwner::new(valve, command, here, timeout);
+                    Some(named("dump-valve", move || serve_valve(owner, &stop, promote))?)
+                }
+                (None, None) => None,
             };
-            owners.push(named("dump-valve", serve)?);
+            owners.extend(thread);
+        }
+        if let Some((gpio, line)) = wired.and_then(|gpio| Some((gpio, gpio.estop?))) {
+            let (stop, pressed) = (Arc::clone(&stop_owners), Arc::clone(&switches.estop_input));
+            let here = clock.fork();
+            owners.push(match &sim {
+                Some(sim) => {
+                    let button = sim.button();
+                    let input = EstopInput::new(Box::new(move || Ok(button.clone())), pressed, here);
+                    named("estop-input", move || input.run(&stop))?
+                }
+                None => {
+                    let chip = gpio.chip.clone();
+                    let input = EstopInput::new(Box::new(move || gpio::input(&chip, line)), pressed, here);
+                    named("estop-input", move || input.run(&stop))?
+                }
+            });
         }
 
         let realtime = rt::Realtime {
@@ -321,6 +347,17 @@ fn serve_i2c<I: embedded_hal::i2c::I2c>(owner: I2cOwner<I>, stop: &AtomicBool, p
     if let Err(error) = owner.run(stop) {
         tracing::error!(%error, "an I2C bus was left in an unknown state");
     }
+}
+
+fn serve_valve<V: DumpValve>(owner: ValveOwner<V>, stop: &AtomicBool, promote: impl Fn()) {
+    promote();
+    owner.run(stop);
+}
+
+/// Opens the output `line`.
+fn output(gpio: &GpioWiring, line: u32) -> OpenPin<linux_embedded_hal::CdevPin> {
+    let chip = gpio.chip.clone();
+    Box::new(move || gpio::output(&chip, line))
 }
 
 fn named(name: &str, body: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, DaemonError> {

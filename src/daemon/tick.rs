@@ -18,6 +18,8 @@ use crate::trajectory::Program;
 pub struct Switches {
     /// The emergency stop; stays set until faults are cleared.
     pub estop: Arc<AtomicBool>,
+    /// The emergency stop's own input is pressed, or cannot be read.
+    pub estop_input: Arc<AtomicBool>,
     /// A configuration file differs from what was loaded.
     pub config_changed: AtomicBool,
     /// Whether the real-time thread got its rights.
@@ -72,7 +74,7 @@ impl Tick {
             imu: [ImuSample::default(); MAX_FREES],
             pressure: [PressureSample::default(); MAX_FREES],
             request: self.requests.pop().ok(),
-            estop: self.switches.estop.load(Ordering::Acquire),
+            estop: self.switches.estop.load(Ordering::Acquire) || self.switches.estop_input.load(Ordering::Acquire),
             realtime: self.switches.realtime.load(Ordering::Relaxed),
             config_changed: self.switches.config_changed.load(Ordering::Relaxed),
             heartbeat: self.switches.heartbeat.get(),

@@ -50,6 +50,7 @@ pub use comparison::{Comparison, Deviation, Row};
 pub use design::design_sheet;
 pub use document::{
     Backend, ErrorDocument, FORMAT, FaultDocument, FreeDocument, GainsDocument, HysteresisDocument, LimitsDocument,
+    MomentDocument,
     LoopDocument, ModelDocument, RealtimeDocument, Repetition, RunDocument, RunKind, RunResult, StartDocument,
     StopDocument, sha256,
 };

@@ -86,6 +86,7 @@ pub fn plant(nominal: Free, scatter: f64, seed: u64) -> BenchConfig {
         }],
         imu: ImuSim { delay: Duration::from_millis(15), noise: 0.05f64.to_radians(), rate_noise: 0.1f64.to_radians() },
         dump_valve: false,
+        one_shot: false,
     }
 }
 

@@ -55,6 +55,7 @@ enum Event {
     Grip(usize, Option<f64>),
     AddedInertia(usize, f64),
     Dump(bool),
+    Beat,
     Fault(PlantFault),
 }
 
@@ -112,7 +113,7 @@ impl Plant {
         Self {
             seed: config.seed,
             branches,
-            dump: DumpValve::new(config.dump_valve),
+            dump: DumpValve::new(config.dump_valve, config.one_shot),
             supply: SUPPLY_MARGIN * largest,
             step: 0,
             events: BTreeMap::new(),
@@ -148,6 +149,11 @@ impl Plant {
     /// Switches the dump valve at `at`.
     pub fn set_dump(&mut self, open: bool, at: Time) {
         self.schedule(at, Event::Dump(open));
+    }
+
+    /// The dump valve's heartbeat changes at `at`.
+    pub fn beat(&mut self, at: Time) {
+        self.schedule(at, Event::Beat);
     }
 
     /// Lets something go wrong (or be repaired) at `at`.
@@ -255,6 +261,7 @@ impl Plant {
             Event::Grip(free, moment) => self.branch(free, |b| b.tip.grip = moment),
             Event::AddedInertia(free, inertia) => self.branch(free, |b| b.tip.added_inertia = inertia.max(0.0)),
             Event::Dump(open) => self.dump.switch(open, now),
+            Event::Beat => self.dump.beat(now),
             Event::Fault(PlantFault::Leak(free, time)) => self.branch(free, |b| b.regulator.leak = time.max(1e-6)),
             Event::Fault(PlantFault::Valve(free, valve)) => self.branch(free, |b| b.regulator.valve = valve),
             Event::Fault(PlantFault::Load(free, moment)) => self.branch(free, |b| b.tip.load = moment),

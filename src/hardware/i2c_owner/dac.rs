@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use embedded_hal::i2c::I2c;
 
+use super::handle::{Handle, Open};
 use super::recovery::{DAC_LOST_AFTER, Recovery, Rung, with_retries};
 use crate::clock::{Clock, Time};
 use crate::hardware::mcp4728::{Mcp4728, codes_of};
@@ -26,7 +27,9 @@ pub(super) struct DacSeat<I> {
     /// Samples of this turn by channel, until they are published.
     pub staged: [Option<PressureSample>; 4],
     name: String,
-    driver: Option<Mcp4728<I>>,
+    driver: Option<Mcp4728<Handle<I>>>,
+    /// Whether the driver's bus is open.
+    open: bool,
     running: bool,
     resume: Time,
     verified: Time,
@@ -45,6 +48,7 @@ impl<I: I2c> DacSeat<I> {
             due: now,
             staged: [None; 4],
             driver: None,
+            open: false,
             running: false,
             resume: now,
             verified: now,
@@ -63,7 +67,7 @@ impl<I: I2c> DacSeat<I> {
     pub fn turn(
         &mut self,
         clock: &Clock,
-        open: &mut dyn FnMut() -> Result<I, HardwareError>,
+        open: Open<'_, I>,
         pressure: &[f64; MAX_FREES],
     ) {
         if self.running {
@@ -85,7 +89,7 @@ impl<I: I2c> DacSeat<I> {
         driver.verify()
     }
 
-    fn write(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>, codes: [u16; 4]) {
+    fn write(&mut self, clock: &Clock, open: Open<'_, I>, codes: [u16; 4]) {
         let Some(driver) = &mut self.driver else {
             self.running = false;
             return;
@@ -118,7 +122,7 @@ impl<I: I2c> DacSeat<I> {
         self.stage(clock.now(), RegulatorHealth::Unmeasured, status);
     }
 
-    fn connect(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+    fn connect(&mut self, clock: &Clock, open: Open<'_, I>) {
         match self.try_connect(clock, open) {
             Ok(identity) => {
                 self.statistics.note_connected(identity);
@@ -139,25 +143,32 @@ impl<I: I2c> DacSeat<I> {
     fn try_connect(
         &mut self,
         clock: &Clock,
-        open: &mut dyn FnMut() -> Result<I, HardwareError>,
+        open: Open<'_, I>,
     ) -> Result<Identity, HardwareError> {
         let driver = match &mut self.driver {
             Some(driver) => driver,
-            none => none.insert(Mcp4728::new(open()?, clock.clone(), &self.name, self.wiring.address)),
+            none => {
+                let bus = Handle::on(open()?);
+                self.open = true;
+                none.insert(Mcp4728::new(bus, clock.clone(), &self.name, self.wiring.address))
+            }
         };
         driver.connect()
     }
 
-    fn climb(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+    fn climb(&mut self, clock: &Clock, open: Open<'_, I>) {
         let was_lost = self.recovery.is_lost();
         let rung = self.recovery.failed(clock.now());
-        if matches!(rung, Rung::Reopen | Rung::Lost)
+        if (matches!(rung, Rung::Reopen | Rung::Lost) || !self.open)
             && let Some(driver) = &mut self.driver
         {
+            driver.replace_bus(Handle::closed());
+            self.open = false;
             match open() {
                 Ok(bus) => {
                     self.statistics.reopens.increment();
-                    driver.replace_bus(bus);
+                    driver.replace_bus(Handle::on(bus));
+                    self.open = true;
                 }
                 Err(error) => self.statistics.note_error(&error),
             }

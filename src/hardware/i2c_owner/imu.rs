@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use embedded_hal::i2c::I2c;
 
+use super::handle::{Handle, Open};
 use super::recovery::{IMU_LOST_AFTER, Recovery, Rung, with_retries};
 use crate::clock::{Clock, Time};
 use crate::hardware::bno055::{Bno055, Progress};
@@ -31,7 +32,9 @@ pub(super) struct ImuSeat<I> {
     /// Reading of this turn, until it is published.
     pub staged: Option<ImuSample>,
     name: String,
-    driver: Option<Bno055<I>>,
+    driver: Option<Bno055<Handle<I>>>,
+    /// Whether the driver's bus is open.
+    open: bool,
     running: bool,
     /// The set-up goes on at this time.
     resume: Time,
@@ -57,6 +60,7 @@ impl<I: I2c> ImuSeat<I> {
             due: now,
             staged: None,
             driver: None,
+            open: false,
             running: false,
             resume: now,
             recovery: Recovery::new(IMU_LOST_AFTER),
@@ -69,7 +73,7 @@ impl<I: I2c> ImuSeat<I> {
     }
 
     /// One turn: at most one burst, or one step of the set-up.
-    pub fn turn(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+    pub fn turn(&mut self, clock: &Clock, open: Open<'_, I>) {
         let begun = clock.now();
         if self.running && self.profile.is_asked() {
             self.save_profile(clock);
@@ -99,7 +103,7 @@ impl<I: I2c> ImuSeat<I> {
         if due > now { due } else { now + period }
     }
 
-    fn read(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+    fn read(&mut self, clock: &Clock, open: Open<'_, I>) {
         let Some(driver) = &mut self.driver else {
             self.restart(clock.now());
             return;
@@ -149,12 +153,13 @@ impl<I: I2c> ImuSeat<I> {
     }
 
     /// The next step of the set-up.
-    fn set_up(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+    fn set_up(&mut self, clock: &Clock, open: Open<'_, I>) {
         let Some(driver) = &mut self.driver else {
             match open() {
                 Ok(bus) => {
                     let (address, profile) = (self.wiring.address, self.wiring.profile);
-                    self.driver = Some(Bno055::new(bus, clock.clone(), &self.name, address, profile));
+                    self.open = true;
+                    self.driver = Some(Bno055::new(Handle::on(bus), clock.clone(), &self.name, address, profile));
                 }
                 Err(error) => {
                     self.statistics.note_error(&error);
@@ -183,17 +188,21 @@ impl<I: I2c> ImuSeat<I> {
         }
     }
 
-    fn climb(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+    fn climb(&mut self, clock: &Clock, open: Open<'_, I>) {
         self.answering = false;
         let rung = self.fail(clock.now());
-        if matches!(rung, Rung::Reopen | Rung::Lost) {
-            match (open(), &mut self.driver) {
-                (Ok(bus), Some(driver)) => {
+        if (matches!(rung, Rung::Reopen | Rung::Lost) || !self.open)
+            && let Some(driver) = &mut self.driver
+        {
+            driver.replace_bus(Handle::closed());
+            self.open = false;
+            match open() {
+                Ok(bus) => {
                     self.statistics.reopens.increment();
-                    driver.replace_bus(bus);
+                    driver.replace_bus(Handle::on(bus));
+                    self.open = true;
                 }
-                (Ok(_), None) => {}
-                (Err(error), _) => self.statistics.note_error(&error),
+                Err(error) => self.statistics.note_error(&error),
             }
         }
         if matches!(rung, Rung::Restart | Rung::Lost) {

@@ -9,6 +9,7 @@
 //! a few transfers, and the waiting in between is everybody's.
 
 mod dac;
+mod handle;
 mod imu;
 mod recovery;
 
@@ -20,6 +21,7 @@ use embedded_hal::i2c::I2c;
 use triple_buffer::{Input, Output};
 
 pub use self::dac::DAC_PERIOD;
+pub use self::recovery::IMU_LOST_AFTER;
 use self::dac::DacSeat;
 use self::imu::ImuSeat;
 use super::HardwareError;

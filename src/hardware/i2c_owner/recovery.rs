@@ -23,7 +23,7 @@ const RESTART_AFTER: Duration = Duration::from_millis(150);
 /// A DAC that has failed for this long is lost.
 pub(super) const DAC_LOST_AFTER: Duration = RESTART_AFTER;
 /// An IMU that has failed for this long is lost.
-pub(super) const IMU_LOST_AFTER: Duration = Duration::from_secs(1);
+pub const IMU_LOST_AFTER: Duration = Duration::from_secs(1);
 /// Pace of the attempts to get a lost device back.
 pub(super) const LOST_PACE: Duration = Duration::from_millis(500);
 /// Pace of the attempts to set up a device that is not lost yet.
