@@ -138,18 +138,27 @@ pub(super) fn read_socket(mut section: Section<'_>, base: &Path) -> SocketConfig
 }
 
 fn read_gpio(mut section: Section<'_>) -> GpioWiring {
-    let chip = PathBuf::from(section.text("chip", "/dev/gpiochip0"));
-    let mut line = |key| section.has(key).then(|| section.integer(key, 0, 0..=1023) as u32);
-    let (dump_valve, heartbeat, estop) = (line("dump_valve"), line("heartbeat"), line("estop"));
+    let chip = section.path("chip", "/dev/gpiochip0");
+    let mut line = |key| {
+        section.expect(key);
+        section.has(key).then(|| section.integer(key, 0, 0..=1023) as u32)
+    };
+    let (dump_valve, heartbeat, estop, supply) = (line("dump_valve"), line("heartbeat"), line("estop"), line("supply"));
     if heartbeat.is_some() && dump_valve.is_none() {
-        section.reject("heartbeat", "is the dump valve's, and there is none", "add `dump_valve` with the line of its coil");
+        section.reject(
+            "heartbeat",
+            "is the dump valve's, and there is none",
+            "add `dump_valve` with the line of its coil",
+        );
     }
-    let lines: Vec<u32> = dump_valve.into_iter().chain(heartbeat).chain(estop).collect();
-    if (1..lines.len()).any(|i| lines[..i].contains(&lines[i])) {
-        let key = if estop.is_some() { "estop" } else { "heartbeat" };
-        section.reject(key, "another line has this number", "give every line a number of its own (gpioinfo lists them)");
+    let lines = [("dump_valve", dump_valve), ("heartbeat", heartbeat), ("estop", estop), ("supply", supply)];
+    for (i, (key, line)) in lines.iter().enumerate() {
+        if line.is_some() && lines[..i].iter().any(|(_, other)| other == line) {
+            let remedy = "give every line a number of its own (gpioinfo lists them)";
+            section.reject(key, "another line has this number", remedy);
+        }
     }
-    GpioWiring { chip, dump_valve, heartbeat, estop }
+    GpioWiring { chip, dump_valve, heartbeat, estop, supply }
 }
 
 fn read_sim(mut section: Section<'_>) -> RawSim {

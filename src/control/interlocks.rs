@@ -6,6 +6,8 @@
 //! A debounce "n samples" counts readings. A debounce in seconds counts from the latest reading that was still good: what
 //! the next one shows may have begun right after it.
 
+use std::time::Duration;
+
 use crate::clock::Time;
 use crate::signal::{
     Estimate, FaultCode, FaultSet, FreeTick, ImuHealth, ImuSample, PressureSample, Quantity, Reference,
@@ -18,6 +20,8 @@ use super::{FreeControl, ImuChannel, Limits, RegulatorChannel};
 
 /// overpressure_soft: s above p_warn.
 pub const SOFT_DEBOUNCE: f64 = 0.1;
+/// supply_low: s that the pressure switch says so.
+pub const SUPPLY_DEBOUNCE: f64 = 0.5;
 /// pressure_sensor_range, imu_implausible: readings in a row.
 pub const SAMPLES_DEBOUNCE: u32 = 3;
 /// Device periods after which a device is stale.
@@ -140,7 +144,13 @@ pub fn follow_tolerance(regulator: &RegulatorChannel) -> f64 {
 
 impl Following {
     /// One tick at `now`, with the latest `pressure`, Pa, read at `taken`.
-    fn step(&mut self, regulator: &RegulatorChannel, (pressure, taken): (f64, Time), command: f64, (now, dt): (Time, f64)) -> bool {
+    fn step(
+        &mut self,
+        regulator: &RegulatorChannel,
+        (pressure, taken): (f64, Time),
+        command: f64,
+        (now, dt): (Time, f64),
+    ) -> bool {
         let lag = (regulator.lag + regulator.dead_time + regulator.period).as_secs_f64().max(dt);
         let expected = self.expected.unwrap_or(pressure);
         let reach = (regulator.fastest_fill * dt).max(0.0);
@@ -155,7 +165,10 @@ impl Following {
             return self.spent >= FOLLOW_BUDGET;
         }
         // Of the time before this reading arrived, nobody knows how much was good.
-        let unseen = self.good.take().map_or(0.0, |good| now.seconds_since(good).min(GROWTH_PERIODS * regulator.period.as_secs_f64()));
+        let unseen = self
+            .good
+            .take()
+            .map_or(0.0, |good| now.seconds_since(good).min(GROWTH_PERIODS * regulator.period.as_secs_f64()));
         self.spent = (self.spent + dt.max(unseen)).min(2.0 * FOLLOW_BUDGET);
         let (marked_pressure, marked_error) = match self.mark {
             Some(mark) if mark.1 >= error => mark,
@@ -324,7 +337,9 @@ impl FreeInterlocks {
                 verdict.add(FaultCode::OverpressureHard, Reaction::Vent);
             }
             if p > self.limits.pressure_warn {
-                let since = *self.above_warn.get_or_insert(self.below_warn.unwrap_or(now));
+                let unseen = Duration::from_secs_f64(GROWTH_PERIODS * period);
+                let since = self.below_warn.map_or(now, |below| below.max(now - unseen));
+                let since = *self.above_warn.get_or_insert(since);
                 if reached(now.seconds_since(since), SOFT_DEBOUNCE) {
                     verdict.add(FaultCode::OverpressureSoft, Reaction::Ramp);
                 }

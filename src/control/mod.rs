@@ -219,6 +219,8 @@ pub struct TickInput {
     pub realtime: bool,
     /// Whether a configuration file differs from what was loaded.
     pub config_changed: bool,
+    /// Whether the supply's pressure switch says low.
+    pub supply_low: bool,
     /// Latest heartbeat of the client that runs the program.
     pub heartbeat: Time,
 }

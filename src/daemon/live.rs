@@ -8,13 +8,14 @@ use std::time::Duration;
 use rtrb::Producer;
 
 use super::join::{Joints, join};
-use super::stepped::{Profiles, axes, detached, lock, note_profiles};
+use super::stepped::{Profiles, axes, contacts, detached, lock, note_profiles};
 use super::tick::Switches;
 use super::{Bench, DaemonError, Pump};
 use crate::clock::{Clock, Time};
 use crate::config::Rig;
 use crate::control::{FreeControl, Request};
-use crate::hardware::gpio::{self, EstopInput, GpioValve, OpenPin};
+use crate::hardware::gpio::{self, ContactWatch, GpioValve, OpenPin};
+use crate::hardware::serial_line::LineStatistics;
 use crate::hardware::wiring::GpioWiring;
 use crate::hardware::{DeviceStatistics, DumpValve, I2cOwner, ProfileDesk, SerialOwner, ValveOwner, i2c, serial};
 use crate::record::Recorder;
@@ -41,6 +42,8 @@ pub struct FreeDevices {
     pub imu: Option<Arc<DeviceStatistics>>,
     /// Its regulator.
     pub regulator: Option<Arc<DeviceStatistics>>,
+    /// The regulator's serial line.
+    pub line: Option<Arc<LineStatistics>>,
 }
 
 /// A running rig. Dropping it without [`Live::stop`] ends the tick first; the bus owners then command zero and
@@ -142,7 +145,8 @@ impl Live {
             let stop = Arc::clone(&stop_owners);
             let owner = SerialOwner::new(&wiring, clock.fork(), timeout, open, command, samples, stop)?;
             for (unit, statistics) in wiring.units.iter().zip(&owner.statistics().units) {
-                note(&mut devices, unit.free, |d| d.regulator = Some(Arc::clone(statistics)));
+                let line = Arc::clone(&owner.statistics().line);
+                note(&mut devices, unit.free, |d| (d.regulator, d.line) = (Some(Arc::clone(statistics)), Some(line)));
             }
             let thread = serial::spawn(&wiring.name, owner, promote.clone()).map_err(thread_failed)?;
             owners.push(thread);
@@ -166,19 +170,18 @@ impl Live {
             };
             owners.extend(thread);
         }
-        if let Some((gpio, line)) = wired.and_then(|gpio| Some((gpio, gpio.estop?))) {
-            let (stop, pressed) = (Arc::clone(&stop_owners), Arc::clone(&switches.estop_input));
-            let here = clock.fork();
-            owners.push(match &sim {
-                Some(sim) => {
-                    let button = sim.button();
-                    let input = EstopInput::new(Box::new(move || Ok(button.clone())), pressed, here);
-                    named("estop-input", move || input.run(&stop))?
+        for (contact, line, flag) in contacts(rig, &switches) {
+            let (stop, here) = (Arc::clone(&stop_owners), clock.fork());
+            owners.push(match (&sim, wired) {
+                (Some(sim), _) => {
+                    let watch = ContactWatch::new(contact, sim.contact(contact, clock.fork()), flag, here);
+                    named("contact", move || watch.run(&stop))?
                 }
-                None => {
-                    let chip = gpio.chip.clone();
-                    let input = EstopInput::new(Box::new(move || gpio::input(&chip, line)), pressed, here);
-                    named("estop-input", move || input.run(&stop))?
+                (None, gpio) => {
+                    let chip = gpio.map(|gpio| gpio.chip.clone()).unwrap_or_default();
+                    let open: OpenPin<_> = Box::new(move || gpio::input(&chip, line));
+                    let watch = ContactWatch::new(contact, open, flag, here);
+                    named("contact", move || watch.run(&stop))?
                 }
             });
         }

@@ -20,6 +20,8 @@ pub struct Switches {
     pub estop: Arc<AtomicBool>,
     /// The emergency stop's own input is pressed, or cannot be read.
     pub estop_input: Arc<AtomicBool>,
+    /// The supply's pressure switch says low, or cannot be read.
+    pub supply_low: Arc<AtomicBool>,
     /// A configuration file differs from what was loaded.
     pub config_changed: AtomicBool,
     /// Whether the real-time thread got its rights.
@@ -77,6 +79,7 @@ impl Tick {
             estop: self.switches.estop.load(Ordering::Acquire) || self.switches.estop_input.load(Ordering::Acquire),
             realtime: self.switches.realtime.load(Ordering::Relaxed),
             config_changed: self.switches.config_changed.load(Ordering::Relaxed),
+            supply_low: self.switches.supply_low.load(Ordering::Acquire),
             heartbeat: self.switches.heartbeat.get(),
         };
         for (sample, slot) in input.imu.iter_mut().zip(&mut self.imu) {

@@ -1,10 +1,12 @@
-//! Digital lines: the coil of the dump valve with its heartbeat, and the emergency stop's contact.
+//! Digital lines: the coil of the dump valve with its heartbeat, the emergency stop's contact, and the supply's pressure
+//! switch.
 //!
 //! | line | high | low |
 //! | --- | --- | --- |
 //! | dump valve | the coil has its current: closed | open: it exhausts |
 //! | heartbeat | changes in every cycle in which the valve is to stay closed | |
 //! | emergency stop | the contact is closed: released | pressed, or its wire is broken |
+//! | supply | the pressure switch is closed: enough | too low, or its wire is broken |
 //!
 //! Every line is safe without power and without this program. The heartbeat is for a retriggerable one-shot in series
 //! with the coil: if it stands still, whatever the program or the output stage believes, the valve opens.
@@ -21,8 +23,8 @@ use linux_embedded_hal::gpio_cdev::{Chip, LineRequestFlags};
 use super::{DumpValve, HardwareError};
 use crate::clock::{Clock, Time};
 
-/// How often the emergency stop's contact is looked at.
-const LOOK: Duration = Duration::from_millis(2);
+/// How often a contact is looked at.
+pub const LOOK: Duration = Duration::from_millis(2);
 /// Looks in a row that must agree: a relay nearby is no emergency.
 const LOOKS: u32 = 2;
 /// How often a line that cannot be opened is tried.
@@ -129,25 +131,52 @@ impl<P: OutputPin> DumpValve for GpioValve<P> {
     }
 }
 
-/// Watches the emergency stop's contact. What cannot be read counts as pressed.
-pub struct EstopInput<P> {
+/// Which contact is watched.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Contact {
+    /// The emergency stop's.
+    Stop,
+    /// The supply's pressure switch.
+    Supply,
+}
+
+impl Contact {
+    const fn name(self) -> &'static str {
+        match self {
+            Contact::Stop => "emergency stop's input",
+            Contact::Supply => "supply's pressure switch",
+        }
+    }
+
+    const fn opens(self) -> &'static str {
+        match self {
+            Contact::Stop => "emergency stop at its input: pressed, or its wire is broken",
+            Contact::Supply => "the supply's pressure switch says low, or its wire is broken",
+        }
+    }
+}
+
+/// Watches a contact. What cannot be read counts as open: pressed, or low.
+pub struct ContactWatch<P> {
+    contact: Contact,
     pin: Lazy<P>,
-    pressed: Arc<AtomicBool>,
+    open: Arc<AtomicBool>,
     clock: Clock,
     due: Time,
     /// What the latest looks in a row have shown, and how many.
     seen: (bool, u32),
 }
 
-impl<P: InputPin> EstopInput<P> {
-    /// A watch that tells `pressed`; the line is opened when it is first needed. Until it has been read it counts as
-    /// pressed.
-    pub fn new(open: OpenPin<P>, pressed: Arc<AtomicBool>, clock: Clock) -> Self {
-        pressed.store(true, Ordering::Release);
-        Self { pin: Lazy::new(open, clock.clone()), pressed, due: clock.now(), clock, seen: (true, LOOKS) }
+impl<P: InputPin> ContactWatch<P> {
+    /// A watch that tells `flag` whether the contact is open; its line is opened when it is first needed. Until it has been
+    /// read it counts as open.
+    pub fn new(contact: Contact, line: OpenPin<P>, flag: Arc<AtomicBool>, clock: Clock) -> Self {
+        flag.store(true, Ordering::Release);
+        let due = clock.now();
+        Self { contact, pin: Lazy::new(line, clock.clone()), open: flag, clock, due, seen: (true, LOOKS) }
     }
 
-    /// When the next [`EstopInput::cycle`] is due.
+    /// When the next [`ContactWatch::cycle`] is due.
     pub fn next_due(&self) -> Time {
         self.due
     }
@@ -155,12 +184,12 @@ impl<P: InputPin> EstopInput<P> {
     /// Looks at the contact.
     pub fn cycle(&mut self) {
         self.due = self.clock.now() + LOOK;
-        let low = self.pin.with("emergency stop's input", |pin| pin.is_low()).unwrap_or(true);
-        self.seen = if self.seen.0 == low { (low, self.seen.1.saturating_add(1)) } else { (low, 1) };
-        if self.seen.1 >= LOOKS && self.pressed.swap(low, Ordering::AcqRel) != low {
-            match low {
-                true => tracing::warn!("emergency stop at its input (pressed, or its wire is broken)"),
-                false => tracing::info!("the emergency stop's input is released"),
+        let open = self.pin.with(self.contact.name(), |pin| pin.is_low()).unwrap_or(true);
+        self.seen = if self.seen.0 == open { (open, self.seen.1.saturating_add(1)) } else { (open, 1) };
+        if self.seen.1 >= LOOKS && self.open.swap(open, Ordering::AcqRel) != open {
+            match open {
+                true => tracing::warn!("{}", self.contact.opens()),
+                false => tracing::info!("{}: closed", self.contact.name()),
             }
         }
     }
@@ -184,7 +213,7 @@ mod tests {
         assert!(error.contains("line 17 of /nonexistent/gpiochip0") && error.contains("gpioinfo"), "{error}");
         let pressed = Arc::new(AtomicBool::new(false));
         let open: OpenPin<CdevPin> = Box::new(|| input(Path::new("/nonexistent/gpiochip0"), 22));
-        let mut watch = EstopInput::new(open, Arc::clone(&pressed), Clock::Live);
+        let mut watch = ContactWatch::new(Contact::Stop, open, Arc::clone(&pressed), Clock::Live);
         watch.cycle();
         watch.cycle();
         assert!(pressed.load(Ordering::Acquire));

@@ -27,6 +27,8 @@ pub struct GpioWiring {
     pub heartbeat: Option<u32>,
     /// The emergency stop's contact: low is pressed.
     pub estop: Option<u32>,
+    /// The supply's pressure switch: low is too low.
+    pub supply: Option<u32>,
 }
 
 /// One I2C bus.

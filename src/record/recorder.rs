@@ -348,7 +348,7 @@ mod tests {
             let mut record = TickRecord { tick, time: Time::from_nanos(tick * 2_000_000), ..TickRecord::default() };
             record.free_count = 1;
             record.frees[0].command = tick as f64;
-            // Stale from 0.503 s on, and much later lost.
+            // Stale from 0.504 s on, and much later lost.
             if tick >= 252 {
                 record.frees[0].faults.insert(FaultCode::PressureStale);
             }

@@ -160,6 +160,7 @@ impl Controlled {
                 estop: false,
                 realtime: true,
                 config_changed: false,
+                supply_low: false,
                 heartbeat: at,
             },
             command: 0.0,

@@ -25,6 +25,6 @@ pub use hysteresis::MaxwellSlip;
 pub use person::{GAUGE, Person, RULER};
 pub use plant::{Plant, PlantFault, STEP};
 pub use regulator::{Regulator, Valve};
-pub use rig::{Contact, SimOutput, SimRig};
+pub use rig::{Button, SimInput, SimOutput, SimRig};
 pub use tip::{HardStop, Tip};
 pub use valve::DumpValve;

@@ -97,6 +97,8 @@ pub struct Plant {
     branches: Vec<Branch>,
     dump: DumpValve,
     supply: f64,
+    /// Below it the supply's pressure switch opens, Pa: the largest full scale.
+    switch: f64,
     /// Grid points passed.
     step: u64,
     /// By grid point of effect, then in the order of their arrival.
@@ -115,6 +117,7 @@ impl Plant {
             branches,
             dump: DumpValve::new(config.dump_valve, config.one_shot),
             supply: SUPPLY_MARGIN * largest,
+            switch: largest,
             step: 0,
             events: BTreeMap::new(),
             arrivals: 0,
@@ -224,6 +227,12 @@ impl Plant {
     fn schedule(&mut self, at: Time, event: Event) {
         self.events.insert((grid(at), self.arrivals), event);
         self.arrivals += 1;
+    }
+
+    /// Whether the supply's pressure switch is closed at `time`.
+    pub fn supply_suffices(&mut self, time: Time) -> bool {
+        self.advance_to(time);
+        self.supply >= self.switch
     }
 
     /// The state at `time`; everything zero where there is no such FREE.

@@ -19,9 +19,9 @@ use super::chips::{
 use super::plant::SCATTER_CUT;
 use super::{AnalogueSim, BenchConfig, Plant};
 use crate::clock::Clock;
-use crate::hardware::wiring::{DacWiring, ImuWiring, SerialWiring, Wiring};
 use crate::hardware::HardwareError;
-use crate::hardware::gpio::{GpioValve, OpenPin};
+use crate::hardware::gpio::{Contact, GpioValve, OpenPin};
+use crate::hardware::wiring::{DacWiring, ImuWiring, SerialWiring, Wiring};
 
 /// The buses run at the Linux default.
 const I2C_HERTZ: u32 = 100_000;
@@ -35,7 +35,7 @@ pub struct SimRig {
     lines: Vec<Arc<Mutex<SerialLine>>>,
     imus: BTreeMap<usize, Mischief>,
     regulators: BTreeMap<usize, Mischief>,
-    button: Contact,
+    button: Button,
     one_shot: bool,
     /// The output behind the dump valve's coil keeps its level whatever it is told.
     coil_stuck: Arc<AtomicBool>,
@@ -46,17 +46,16 @@ impl SimRig {
     /// in their sensors' frames, by FREE.
     pub fn new(bench: &BenchConfig, wiring: &Wiring, axes: &[[f64; 3]], clock: &Clock) -> Self {
         let plant = Arc::new(Mutex::new(Plant::new(bench).starting_at(clock.now())));
-        let mut rig =
-            Self {
-                plant,
-                buses: Vec::new(),
-                lines: Vec::new(),
-                imus: BTreeMap::new(),
-                regulators: BTreeMap::new(),
-                button: Contact::default(),
-                one_shot: bench.one_shot,
-                coil_stuck: Arc::default(),
-            };
+        let mut rig = Self {
+            plant,
+            buses: Vec::new(),
+            lines: Vec::new(),
+            imus: BTreeMap::new(),
+            regulators: BTreeMap::new(),
+            button: Button::default(),
+            one_shot: bench.one_shot,
+            coil_stuck: Arc::default(),
+        };
         for wiring in &wiring.i2c {
             let clock = clock.fork();
             let bus = SimI2c::new(clock.clone(), I2C_HERTZ);
@@ -200,9 +199,23 @@ impl SimRig {
         self.coil_stuck.store(stuck, Ordering::Relaxed);
     }
 
-    /// The emergency stop's contact.
-    pub fn button(&self) -> Contact {
+    /// The emergency stop.
+    pub fn button(&self) -> Button {
         self.button.clone()
+    }
+
+    /// The line of `contact`, looked at on `clock`.
+    pub fn contact(&self, contact: Contact, clock: Clock) -> OpenPin<SimInput> {
+        let (plant, button) = (self.plant(), self.button());
+        Box::new(move || {
+            let (plant, button, clock) = (Arc::clone(&plant), button.clone(), clock.clone());
+            Ok(SimInput(match contact {
+                Contact::Stop => Box::new(move || !button.0.load(Ordering::Relaxed)),
+                Contact::Supply => {
+                    Box::new(move || plant.lock().unwrap_or_else(PoisonError::into_inner).supply_suffices(clock.now()))
+                }
+            }))
+        })
     }
 }
 
@@ -252,25 +265,28 @@ impl digital::OutputPin for SimOutput {
 
 /// The simulated emergency stop: a contact that is closed until somebody presses it, or cuts its wire.
 #[derive(Clone, Debug, Default)]
-pub struct Contact(Arc<AtomicBool>);
+pub struct Button(Arc<AtomicBool>);
 
-impl Contact {
+impl Button {
     /// Presses the stop, or releases it.
     pub fn press(&self, pressed: bool) {
         self.0.store(pressed, Ordering::Relaxed);
     }
 }
 
-impl digital::ErrorType for Contact {
+/// A simulated input line, by what it looks at.
+pub struct SimInput(Box<dyn FnMut() -> bool + Send>);
+
+impl digital::ErrorType for SimInput {
     type Error = Infallible;
 }
 
-impl digital::InputPin for Contact {
+impl digital::InputPin for SimInput {
     fn is_high(&mut self) -> Result<bool, Infallible> {
-        self.is_low().map(|low| !low)
+        Ok((self.0)())
     }
 
     fn is_low(&mut self) -> Result<bool, Infallible> {
-        Ok(self.0.load(Ordering::Relaxed))
+        Ok(!(self.0)())
     }
 }

@@ -7,8 +7,9 @@ use crate::config::Rig;
 use crate::control::{Reaction, interlocks};
 use crate::daemon::Bench;
 use crate::daemon::stepped::lock;
+use crate::hardware::gpio;
 use crate::hardware::i2c_owner::IMU_LOST_AFTER;
-use crate::hardware::wiring::{SerialWiring, UnitWiring};
+use crate::hardware::wiring::{GpioWiring, SerialWiring, UnitWiring};
 use crate::signal::{FaultCode, FaultSet};
 use crate::sim::chips::{AlicatChip, Misbehaviour};
 use crate::sim::{PlantFault, Valve};
@@ -112,7 +113,7 @@ fn nothing(_: &Rig) -> f64 {
 /// Room to turn, for what is about pressure.
 fn turns_far(rig: &mut Rig) {
     for free in &mut rig.control.frees {
-        (free.limits.angle_soft, free.limits.angle_hard) = ((-1e3, 1e3), (-2e3, 2e3));
+        (free.limits.angle_soft, free.limits.angle_hard) = ((-7.0, 7.0), (-8.0, 8.0));
     }
 }
 
@@ -208,6 +209,17 @@ pub fn cases(rig: &Rig) -> Vec<Case> {
                 s.truth(0).pressure < 0.5 * free.limits.pressure_max - tolerance
             })
             .within(|_| interlocks::FOLLOW_BUDGET, regulator),
+        Case::new(F::SupplyLow, "the supply falls, and its pressure switch opens", Ramp, turn)
+            .on(|rig| {
+                let lines =
+                    GpioWiring { chip: "sim".into(), dump_valve: None, heartbeat: None, estop: None, supply: Some(0) };
+                rig.wiring.gpio.get_or_insert(lines).supply.get_or_insert(u32::MAX);
+            })
+            .provoked(|s| {
+                let highest = s.rig.control.frees.iter().map(|free| free.limits.pressure_max).fold(0.0, f64::max);
+                s.inject(PlantFault::Supply(highest));
+            })
+            .within(|_| interlocks::SUPPLY_DEBOUNCE, |_| 2.0 * gpio::LOOK.as_secs_f64()),
         Case::new(F::ImuStale, "the IMU does not acknowledge", Hold, turn)
             .provoked(|s| imu_is(s, Misbehaviour::Nak))
             .within(|rig| interlocks::STALE_PERIODS * imu(rig), imu),
@@ -265,6 +277,8 @@ pub fn cases(rig: &Rig) -> Vec<Case> {
                 .on(without_dump_valve)
                 .provoked(|s| plug(s, false))
                 .from(|s| s.bench.latest().vent)
+                .along(F::BusLost)
+                .along(F::PressureStale)
                 .within(|rig| rig.control.vent_time.as_secs_f64(), nothing)
         },
         Case::new(F::EmergencyStop, "the stop is pressed", Vent, turn)

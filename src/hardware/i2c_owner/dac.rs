@@ -64,12 +64,7 @@ impl<I: I2c> DacSeat<I> {
     }
 
     /// One turn: set-points by FREE, Pa, in one transfer.
-    pub fn turn(
-        &mut self,
-        clock: &Clock,
-        open: Open<'_, I>,
-        pressure: &[f64; MAX_FREES],
-    ) {
+    pub fn turn(&mut self, clock: &Clock, open: Open<'_, I>, pressure: &[f64; MAX_FREES]) {
         if self.running {
             self.write(clock, open, codes_of(&self.wiring, pressure));
         } else if clock.now() >= self.resume {
@@ -84,7 +79,10 @@ impl<I: I2c> DacSeat<I> {
     /// Zero now, and read back: for the end, when nobody commands any more.
     pub fn shut_down(&mut self) -> Result<(), HardwareError> {
         let Some(driver) = &mut self.driver else { return Ok(()) };
-        driver.zero()?;
+        if driver.zero().is_err() {
+            // Its own address is not acknowledged: the last that can be tried.
+            driver.reset_all()?;
+        }
         self.codes = [0; 4];
         driver.verify()
     }
@@ -135,16 +133,12 @@ impl<I: I2c> DacSeat<I> {
             Err(error) => {
                 self.statistics.note_error(&error);
                 self.climb(clock, open);
-                self.resume = clock.now() + self.recovery.pace();
+                self.resume = clock.now() + self.recovery.pace(clock.now());
             }
         }
     }
 
-    fn try_connect(
-        &mut self,
-        clock: &Clock,
-        open: Open<'_, I>,
-    ) -> Result<Identity, HardwareError> {
+    fn try_connect(&mut self, clock: &Clock, open: Open<'_, I>) -> Result<Identity, HardwareError> {
         let driver = match &mut self.driver {
             Some(driver) => driver,
             none => {
@@ -158,7 +152,7 @@ impl<I: I2c> DacSeat<I> {
 
     fn climb(&mut self, clock: &Clock, open: Open<'_, I>) {
         let was_lost = self.recovery.is_lost();
-        let rung = self.recovery.failed(clock.now());
+        let rung = self.recovery.failed(clock.now(), clock.now());
         if (matches!(rung, Rung::Reopen | Rung::Lost) || !self.open)
             && let Some(driver) = &mut self.driver
         {
@@ -176,7 +170,7 @@ impl<I: I2c> DacSeat<I> {
         if matches!(rung, Rung::Restart | Rung::Lost) {
             // From here the way back leads through `connect`: its first frame is zero.
             self.running = false;
-            self.resume = clock.now() + self.recovery.pace();
+            self.resume = clock.now() + self.recovery.pace(clock.now());
         }
         if rung == Rung::Lost {
             if !was_lost {

@@ -100,7 +100,9 @@ impl<I: I2c> ImuSeat<I> {
             return (self.due + period - period / 32).max(now + period / 10);
         }
         let due = self.due + period;
-        if due > now { due } else { now + period }
+        let due = if due > now { due } else { now + period };
+        // A step of the set-up, or the end of the ladder, does not wait for the next turn.
+        if !self.running && self.resume > now { due.min(self.resume) } else { due }
     }
 
     fn read(&mut self, clock: &Clock, open: Open<'_, I>) {
@@ -139,7 +141,8 @@ impl<I: I2c> ImuSeat<I> {
             Ok(Reading::Reset) => {
                 self.statistics.resets.increment();
                 self.answering = true;
-                self.restart(clock.now());
+                // The driver knows how much of the set-up it takes.
+                (self.running, self.resume) = (false, clock.now());
             }
             Err(_) => self.climb(clock, open),
         }
@@ -164,7 +167,7 @@ impl<I: I2c> ImuSeat<I> {
                 Err(error) => {
                     self.statistics.note_error(&error);
                     self.fail(clock.now());
-                    self.resume = clock.now() + self.recovery.pace();
+                    self.resume = clock.now() + self.recovery.pace(clock.now());
                 }
             }
             return;
@@ -183,7 +186,7 @@ impl<I: I2c> ImuSeat<I> {
             Err(error) => {
                 self.statistics.note_error(&error);
                 self.climb(clock, open);
-                self.resume = clock.now() + self.recovery.pace();
+                self.resume = clock.now() + self.recovery.pace(clock.now());
             }
         }
     }
@@ -213,7 +216,8 @@ impl<I: I2c> ImuSeat<I> {
     /// Counts a loss once, when the end of the ladder is reached.
     fn fail(&mut self, now: Time) -> Rung {
         let was_lost = self.recovery.is_lost();
-        let rung = self.recovery.failed(now);
+        let good = if self.running { self.changed } else { now };
+        let rung = self.recovery.failed(good, now);
         if rung == Rung::Lost && !was_lost {
             self.statistics.losses.increment();
         }

@@ -21,9 +21,9 @@ use embedded_hal::i2c::I2c;
 use triple_buffer::{Input, Output};
 
 pub use self::dac::DAC_PERIOD;
-pub use self::recovery::IMU_LOST_AFTER;
 use self::dac::DacSeat;
 use self::imu::ImuSeat;
+pub use self::recovery::IMU_LOST_AFTER;
 use super::HardwareError;
 use super::profile::ProfileDesk;
 use super::statistics::DeviceStatistics;
