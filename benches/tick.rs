@@ -51,6 +51,7 @@ impl Bench {
                 estop: false,
                 realtime: true,
                 config_changed: false,
+                supply_low: false,
                 heartbeat: Time::ZERO,
             },
             period: config.period,

@@ -530,6 +530,8 @@ pub struct TickRecord {
     pub realtime: bool,
     /// Whether a configuration file differs from what was loaded (input).
     pub config_changed: bool,
+    /// Whether the supply's pressure switch says low (input).
+    pub supply_low: bool,
     /// Latest heartbeat of the client that runs the program (input).
     pub heartbeat: Time,
     /// What this tick refused: the request it took up, or the arming it had to give up.
@@ -568,6 +570,7 @@ impl Default for TickRecord {
             estop: false,
             realtime: false,
             config_changed: false,
+            supply_low: false,
             heartbeat: Time::ZERO,
             refusal: Refusal::NONE,
             program_time: f64::NAN,

@@ -98,6 +98,18 @@ fn a_few_plants_are_followed() {
 }
 
 #[test]
+fn every_fault_is_seen_and_the_pressure_gone_within_its_limits() {
+    let (rows, _) = bench("faults", "1");
+    let names: std::collections::BTreeSet<_> = rows.iter().map(|r| r["method"].as_str().unwrap()).collect();
+    for row in &freerig::control::MATRIX {
+        assert!(names.contains(row.code.name()), "{}", row.code.name());
+    }
+    for row in &rows {
+        assert!(row["failed"] == false && row["relative_error"].as_f64().unwrap() <= 1.0, "{row}");
+    }
+}
+
+#[test]
 fn a_bad_count_is_bad_usage() {
     let output = Command::new(env!("CARGO_BIN_EXE_freerig")).args(["bench", "--count", "0"]).output().unwrap();
     assert_eq!(output.status.code(), Some(2));

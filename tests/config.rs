@@ -617,3 +617,24 @@ fn experiments_for_several_frees_name_them() {
     let error = Experiment::parse(Path::new("x.toml"), &twice, &rig, None).unwrap_err();
     assert!(error.to_string().contains("two references"), "{error}");
 }
+
+#[test]
+fn digital_lines_are_read_and_each_has_a_number_of_its_own() {
+    let gpio = "[gpio]\nchip = \"/dev/gpiochip4\"\ndump_valve = 17\nheartbeat = 27\nestop = 22\n\n[safety]";
+    let (_folder, path) = rig_with(|text| replace(&text, "[safety]", gpio));
+    let rig = Rig::load(&path).unwrap();
+    let wired = rig.wiring.gpio.unwrap();
+    assert_eq!((wired.dump_valve, wired.heartbeat, wired.estop), (Some(17), Some(27), Some(22)));
+    assert!(wired.chip.ends_with("gpiochip4") && rig.control.dump_valve && rig.bench.one_shot);
+    // On real lines the valve is fitted where it is wired.
+    for (lines, fitted) in [("dump_valve = 17", true), ("estop = 22", false)] {
+        let (_folder, path) = rig_with(|text| {
+            let text = replace(&text, "[safety]", &format!("[gpio]\n{lines}\n\n[safety]"));
+            replace(&text, "\nbackend = \"sim\"", "\nbackend = \"linux\"")
+        });
+        assert_eq!(Rig::load(&path).unwrap().control.dump_valve, fitted, "{lines}");
+    }
+    let twice = "[gpio]\ndump_valve = 17\nestop = 17\n\n[safety]";
+    one_problem("[safety]", twice, "gpio.estop", "another line has this number", "gpioinfo");
+    one_problem("[safety]", "[gpio]\nheartbeat = 27\n\n[safety]", "gpio.heartbeat", "dump valve's", "dump_valve");
+}

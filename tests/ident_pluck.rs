@@ -44,6 +44,7 @@ fn record(nominal: Free, seed: u64, hysteresis: f64, angle: f64, added: f64) -> 
         module: None,
         imu: ImuSim { delay, noise, rate_noise },
         dump_valve: true,
+        one_shot: false,
     });
     let truth = *plant.true_free(0).unwrap();
     let releases_s = (0..6).map(|i| 4.0 + 5.0 * f64::from(i)).collect();

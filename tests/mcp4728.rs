@@ -262,3 +262,19 @@ fn registers_are_not_what_power_brings() {
     bench.bus.attach(ADDRESS, chip);
     assert_eq!(bench.volts(), [1.5, 0.0, 1.5, 1.5]);
 }
+
+#[test]
+fn the_general_call_takes_every_chip_to_its_eeprom_by_one_frame() {
+    with_mock(&[Transaction::write(0x00, vec![0x06])], |dac| dac.reset_all().expect("acknowledged"));
+    let bench = Bench::new();
+    let mischief = bench.bus.attach(ADDRESS, Mcp4728Chip::programmed(ADDRESS, bench.sink()));
+    let mut dac = bench.driver();
+    dac.connect().expect("connects");
+    dac.write([2000; 4]).expect("writes");
+    // Its own address is not acknowledged any more.
+    mischief.always(Misbehaviour::Nak);
+    dac.zero().expect_err("not acknowledged");
+    assert!(bench.volts().iter().all(|&v| v > 1.9));
+    dac.reset_all().expect("heard");
+    assert_eq!(bench.volts(), [0.0; 4]);
+}

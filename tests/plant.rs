@@ -33,7 +33,7 @@ fn sim() -> PlantSim {
 
 fn bench(plants: Vec<PlantSim>, seed: u64) -> BenchConfig {
     let imu = ImuSim { delay: Duration::ZERO, noise: 0.0, rate_noise: 0.0 };
-    BenchConfig { seed, plants, module: None, imu, dump_valve: true }
+    BenchConfig { seed, plants, module: None, imu, dump_valve: true, one_shot: false }
 }
 
 /// The plant of `config`, its dump valve closed.

@@ -43,6 +43,7 @@ fn scrambled(r: &mut Scramble, tick: u64, frees: usize) -> TickRecord {
         estop: r.of(&[true, false]),
         realtime: r.of(&[true, false]),
         config_changed: r.of(&[true, false]),
+        supply_low: r.of(&[true, false]),
         heartbeat: Time::from_nanos(r.bits()),
         refusal: Refusal {
             code: r.of(&[RefusalCode::None, RefusalCode::NotVented, RefusalCode::Busy]),

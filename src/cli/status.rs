@@ -171,9 +171,20 @@ fn describe_device(device: &DeviceStatus) -> String {
         ("errors", device.errors),
         ("implausible", device.implausible),
         ("resets", device.resets),
+        ("reopened", device.reopens),
         ("losses", device.losses),
     ];
-    for (name, count) in counts.into_iter().filter(|(_, count)| *count > 0) {
+    let line = device.line.as_ref().map(|line| {
+        [
+            ("timeouts", line.timeouts),
+            ("late frames", line.late_frames),
+            ("malformed", line.malformed),
+            ("rejected", line.rejected),
+            ("echo mismatches", line.echo_mismatches),
+            ("unknown tokens", line.unknown_tokens),
+        ]
+    });
+    for (name, count) in counts.into_iter().chain(line.into_iter().flatten()).filter(|(_, count)| *count > 0) {
         let _ = write!(text, ", {count} {name}");
     }
     if let Some(error) = &device.last_error {

@@ -52,7 +52,10 @@ fn control(raw: &RawRig) -> ControlConfig {
         ramp_time: raw.safety.ramp_time,
         command_timeout: raw.safety.command_timeout,
         require_realtime: raw.realtime.require_realtime,
-        dump_valve: raw.backend == Backend::Sim && raw.sim.dump_valve,
+        dump_valve: match raw.backend {
+            Backend::Sim => raw.sim.dump_valve,
+            Backend::Linux => raw.gpio.as_ref().is_some_and(|gpio| gpio.dump_valve.is_some()),
+        },
         frees: raw.frees.iter().enumerate().map(|(index, free)| free_control(raw, index, free)).collect(),
     }
 }
@@ -178,6 +181,7 @@ fn wiring(raw: &RawRig) -> Wiring {
                 units: units(raw, &line.name),
             })
             .collect(),
+        gpio: raw.gpio.clone(),
         command_timeout: raw.safety.command_timeout,
     }
 }
@@ -277,5 +281,6 @@ fn bench(raw: &RawRig) -> BenchConfig {
         }),
         imu: ImuSim { delay: raw.sim.imu_delay, noise: raw.sim.imu_noise, rate_noise: raw.sim.imu_rate_noise },
         dump_valve: raw.sim.dump_valve,
+        one_shot: raw.gpio.as_ref().is_some_and(|gpio| gpio.heartbeat.is_some()),
     }
 }

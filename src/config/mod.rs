@@ -51,5 +51,5 @@ pub use module::{FREES as MODULE_FREES, ModuleConfig};
 pub use problem::{ConfigError, Problem};
 pub use rig::{Backend, LoopConfig, RecordConfig, Rig, SocketConfig};
 pub use script::Script;
-pub use whisk::Whisk;
 pub use tables::{Waypoints, pressure_rows, waypoints};
+pub use whisk::Whisk;

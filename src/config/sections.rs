@@ -12,6 +12,7 @@ use super::load::{Files, Library};
 use super::module::{RawModule, read_module};
 use super::reader::Section;
 use super::rig::{Backend, LoopConfig, RecordConfig, SocketConfig};
+use crate::hardware::wiring::GpioWiring;
 use crate::signal::MAX_FREES;
 
 /// The whole of rig.toml.
@@ -26,6 +27,7 @@ pub(super) struct RawRig {
     pub(super) socket: SocketConfig,
     pub(super) i2c: Vec<RawI2c>,
     pub(super) serial: Vec<RawSerial>,
+    pub(super) gpio: Option<GpioWiring>,
     pub(super) sim: RawSim,
     pub(super) frees: Vec<RawFree>,
     pub(super) module: Option<RawModule>,
@@ -85,6 +87,7 @@ pub(super) fn read_rig(mut root: Section<'_>, base: &Path, files: &mut Files) ->
         safety: read_safety(root.section("safety")),
         record: read_record(root.section("record")),
         socket: read_socket(root.section("socket"), base),
+        gpio: root.has("gpio").then(|| read_gpio(root.section("gpio"))),
         sim: read_sim(root.section("sim")),
         frees,
         module,
@@ -152,6 +155,30 @@ pub(super) fn read_socket(mut section: Section<'_>, base: &Path) -> SocketConfig
         );
     }
     SocketConfig { path, group: section.optional_text("group") }
+}
+
+fn read_gpio(mut section: Section<'_>) -> GpioWiring {
+    let chip = section.path("chip", "/dev/gpiochip0");
+    let mut line = |key| {
+        section.expect(key);
+        section.has(key).then(|| section.integer(key, 0, 0..=1023) as u32)
+    };
+    let (dump_valve, heartbeat, estop, supply) = (line("dump_valve"), line("heartbeat"), line("estop"), line("supply"));
+    if heartbeat.is_some() && dump_valve.is_none() {
+        section.reject(
+            "heartbeat",
+            "is the dump valve's, and there is none",
+            "add `dump_valve` with the line of its coil",
+        );
+    }
+    let lines = [("dump_valve", dump_valve), ("heartbeat", heartbeat), ("estop", estop), ("supply", supply)];
+    for (i, (key, line)) in lines.iter().enumerate() {
+        if line.is_some() && lines[..i].iter().any(|(_, other)| other == line) {
+            let remedy = "give every line a number of its own (gpioinfo lists them)";
+            section.reject(key, "another line has this number", remedy);
+        }
+    }
+    GpioWiring { chip, dump_valve, heartbeat, estop, supply }
 }
 
 fn read_sim(mut section: Section<'_>) -> RawSim {

@@ -12,7 +12,9 @@ use thiserror::Error;
 use super::estimator::{Estimator, Reading};
 use super::fault::Reaction;
 use super::forward::{Forward, derivative_on};
-use super::interlocks::{FreeInterlocks, HEARTBEAT_MAX, LateTicks, STALL_MAX, Seen, Vented, Verdict, reached};
+use super::interlocks::{
+    FreeInterlocks, HEARTBEAT_MAX, LateTicks, STALL_MAX, SUPPLY_DEBOUNCE, Seen, Vented, Verdict, reached,
+};
 use super::lifecycle::{Faulting, Mode, Phase, Sight};
 use super::pid::{Band, Pid};
 use super::static_map::StaticMapError;
@@ -90,6 +92,7 @@ pub struct Controller {
     channels: Vec<Channel>,
     phase: Phase,
     late: LateTicks,
+    supply_low: Option<Time>,
     last: Option<Time>,
     retired: Option<Arc<Program>>,
 }
@@ -134,6 +137,7 @@ impl Controller {
             channels,
             phase: Phase::Boot,
             late: LateTicks::default(),
+            supply_low: None,
             last: None,
             retired: None,
         })
@@ -292,6 +296,10 @@ impl Controller {
             && reached(input.time.seconds_since(input.heartbeat.max(run.start)), HEARTBEAT_MAX)
         {
             verdict.add(FaultCode::ClientLost, Reaction::Ramp);
+        }
+        self.supply_low = input.supply_low.then(|| self.supply_low.unwrap_or(input.time));
+        if self.supply_low.is_some_and(|since| reached(input.time.seconds_since(since), SUPPLY_DEBOUNCE)) {
+            verdict.add(FaultCode::SupplyLow, Reaction::Ramp);
         }
         if input.config_changed {
             verdict.add(FaultCode::ConfigChanged, Reaction::Warn);

@@ -1,8 +1,6 @@
-//! The fault matrix: what can go wrong, how long it must last, what the rig does about it, what a person should
-//! do; and the black box that keeps the first errors.
+//! The fault matrix: what can go wrong, how long it must last, what the rig does about it, what a person should do.
 
-use crate::clock::Time;
-use crate::signal::{FaultCode, MAX_FREES, State, TickRecord};
+use crate::signal::FaultCode;
 
 /// What the rig does about a fault, from the mildest.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
@@ -215,77 +213,9 @@ pub fn row(code: FaultCode) -> &'static Row {
     &MATRIX[(code as usize - 1).min(MATRIX.len() - 1)]
 }
 
-/// One entry of the black box.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Event {
-    /// Nominal time of the tick that saw it.
-    pub time: Time,
-    /// The fault.
-    pub code: FaultCode,
-    /// The FREE it is about; `None` for the rig.
-    pub free: Option<u8>,
-    /// Where the life cycle stood after that tick.
-    pub state: State,
-}
-
-/// Black box: the first faults since arming, for what comes after a first fault is mostly its consequence.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct FirstErrors {
-    events: [Option<Event>; FirstErrors::CAPACITY],
-}
-
-impl FirstErrors {
-    /// Faults it keeps.
-    pub const CAPACITY: usize = 8;
-
-    /// Empty.
-    pub const fn new() -> Self {
-        Self { events: [None; Self::CAPACITY] }
-    }
-
-    /// Takes note of what a tick saw. The box starts empty when arming begins and is full with eight.
-    pub fn note(&mut self, record: &TickRecord) {
-        if record.state == State::Arming && record.request == crate::signal::RequestKind::Arm {
-            *self = Self::new();
-        }
-        for code in FaultCode::ALL {
-            if record.faults.union(record.latched).contains(code)
-                && !record.frees().iter().any(|f| f.faults.contains(code))
-            {
-                self.push(Event { time: record.time, code, free: None, state: record.state });
-            }
-            for (index, free) in record.frees().iter().enumerate().take(MAX_FREES) {
-                if free.faults.contains(code) {
-                    self.push(Event { time: record.time, code, free: Some(index as u8), state: record.state });
-                }
-            }
-        }
-    }
-
-    fn push(&mut self, event: Event) {
-        for slot in &mut self.events {
-            match slot {
-                // A latched fault whose FREE is known already is not a new one.
-                Some(seen) if seen.code == event.code && (seen.free == event.free || event.free.is_none()) => return,
-                Some(_) => {}
-                None => {
-                    *slot = Some(event);
-                    return;
-                }
-            }
-        }
-    }
-
-    /// The faults kept, the first one first.
-    pub fn iter(&self) -> impl Iterator<Item = &Event> {
-        self.events.iter().flatten()
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::signal::{FaultSet, RequestKind};
 
     #[test]
     fn the_matrix_has_every_fault_once_in_the_order_of_its_number() {
@@ -296,28 +226,5 @@ mod tests {
             assert!(row(code).reaction <= row(code).then);
             assert!(row(code).remedy.ends_with('.') && !row(code).remedy.contains("  "), "{}", row(code).remedy);
         }
-    }
-
-    #[test]
-    fn the_black_box_keeps_the_first_faults_with_their_times_and_starts_anew_when_arming() {
-        let mut errors = FirstErrors::new();
-        let mut record = TickRecord { free_count: 2, state: State::Track, ..TickRecord::default() };
-        record.time = Time::from_nanos(5);
-        record.frees[1].faults.insert(FaultCode::ImuStale);
-        errors.note(&record);
-        record.time = Time::from_nanos(9);
-        record.faults.insert(FaultCode::Deadline);
-        record.latched.insert(FaultCode::ImuStale);
-        errors.note(&record);
-        record.frees[1].faults = FaultSet::NONE;
-        errors.note(&record);
-        let seen: Vec<_> = errors.iter().map(|e| (e.time.as_nanos(), e.code, e.free)).collect();
-        assert_eq!(seen, [(5, FaultCode::ImuStale, Some(1)), (9, FaultCode::Deadline, None)]);
-        record.faults = FaultSet(u32::MAX);
-        errors.note(&record);
-        assert_eq!(errors.iter().count(), FirstErrors::CAPACITY);
-        let arming = TickRecord { state: State::Arming, request: RequestKind::Arm, ..TickRecord::default() };
-        errors.note(&arming);
-        assert_eq!(errors.iter().count(), 0);
     }
 }

@@ -3,7 +3,10 @@
 //! They judge the *age* of a reading and never wait for one. Age counts from the reading's own time or from its
 //! arrival in the tick, whichever is earlier, so that neither a frozen time stamp nor one from the future hides a
 //! silent device; time in which the loop itself stood still (up to [`STALL_MAX`]) is no silence of the device.
-//! A debounce "n samples" counts readings, a debounce in seconds counts from the first tick that saw the condition.
+//! A debounce "n samples" counts readings. A debounce in seconds counts from the latest reading that was still good: what
+//! the next one shows may have begun right after it.
+
+use std::time::Duration;
 
 use crate::clock::Time;
 use crate::signal::{
@@ -17,6 +20,8 @@ use super::{FreeControl, ImuChannel, Limits, RegulatorChannel};
 
 /// overpressure_soft: s above p_warn.
 pub const SOFT_DEBOUNCE: f64 = 0.1;
+/// supply_low: s that the pressure switch says so.
+pub const SUPPLY_DEBOUNCE: f64 = 0.5;
 /// pressure_sensor_range, imu_implausible: readings in a row.
 pub const SAMPLES_DEBOUNCE: u32 = 3;
 /// Device periods after which a device is stale.
@@ -126,25 +131,45 @@ impl Freshness {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Following {
     expected: Option<f64>,
+    /// Time of the latest reading within the tolerance.
+    good: Option<Time>,
     spent: f64,
     mark: Option<(f64, f64)>,
 }
 
+/// pressure_not_following: how far the pressure of `regulator` may be from the expected one, Pa.
+pub fn follow_tolerance(regulator: &RegulatorChannel) -> f64 {
+    (FOLLOW_TOLERANCE * regulator.full_scale).max(FOLLOW_TOLERANCE_MIN)
+}
+
 impl Following {
-    fn step(&mut self, regulator: &RegulatorChannel, pressure: f64, command: f64, dt: f64) -> bool {
+    /// One tick at `now`, with the latest `pressure`, Pa, read at `taken`.
+    fn step(
+        &mut self,
+        regulator: &RegulatorChannel,
+        (pressure, taken): (f64, Time),
+        command: f64,
+        (now, dt): (Time, f64),
+    ) -> bool {
         let lag = (regulator.lag + regulator.dead_time + regulator.period).as_secs_f64().max(dt);
         let expected = self.expected.unwrap_or(pressure);
         let reach = (regulator.fastest_fill * dt).max(0.0);
         let expected = expected + ((command - expected) * dt / lag).max(-reach).min(reach);
         self.expected = Some(expected);
-        let tolerance = (FOLLOW_TOLERANCE * regulator.full_scale).max(FOLLOW_TOLERANCE_MIN);
+        let tolerance = follow_tolerance(regulator);
         let error = (pressure - expected).abs();
         if error <= tolerance {
             self.spent = (self.spent - 0.5 * dt).max(0.0);
             self.mark = None;
+            self.good = Some(taken.min(now));
             return self.spent >= FOLLOW_BUDGET;
         }
-        self.spent = (self.spent + dt).min(2.0 * FOLLOW_BUDGET);
+        // Of the time before this reading arrived, nobody knows how much was good.
+        let unseen = self
+            .good
+            .take()
+            .map_or(0.0, |good| now.seconds_since(good).min(GROWTH_PERIODS * regulator.period.as_secs_f64()));
+        self.spent = (self.spent + dt.max(unseen)).min(2.0 * FOLLOW_BUDGET);
         let (marked_pressure, marked_error) = match self.mark {
             Some(mark) if mark.1 >= error => mark,
             _ => *self.mark.insert((pressure, error)),
@@ -200,6 +225,8 @@ pub struct FreeInterlocks {
     /// Accepted IMU readings only.
     accepted: Freshness,
     vented: Vented,
+    /// Time of the latest reading below p_warn.
+    below_warn: Option<Time>,
     above_warn: Option<Time>,
     out_of_range: u32,
     implausible: u32,
@@ -220,6 +247,7 @@ impl FreeInterlocks {
             readings: Freshness::default(),
             accepted: Freshness::default(),
             vented: Vented::Unknown,
+            below_warn: None,
             above_warn: None,
             out_of_range: 0,
             implausible: 0,
@@ -309,12 +337,14 @@ impl FreeInterlocks {
                 verdict.add(FaultCode::OverpressureHard, Reaction::Vent);
             }
             if p > self.limits.pressure_warn {
-                let since = *self.above_warn.get_or_insert(now);
+                let unseen = Duration::from_secs_f64(GROWTH_PERIODS * period);
+                let since = self.below_warn.map_or(now, |below| below.max(now - unseen));
+                let since = *self.above_warn.get_or_insert(since);
                 if reached(now.seconds_since(since), SOFT_DEBOUNCE) {
                     verdict.add(FaultCode::OverpressureSoft, Reaction::Ramp);
                 }
             } else if p <= self.limits.pressure_warn {
-                self.above_warn = None;
+                (self.above_warn, self.below_warn) = (None, Some(sample.time.min(now)));
             }
             if let Some(age) = self.pressure.age(now)
                 && over(age, GROWTH_PERIODS * period)
@@ -323,7 +353,7 @@ impl FreeInterlocks {
                 verdict.add(FaultCode::PressureStale, Reaction::Vent);
             }
         }
-        if p.is_finite() && self.following.step(&self.regulator, p, seen.command, seen.dt) {
+        if p.is_finite() && self.following.step(&self.regulator, (p, sample.time), seen.command, (now, seen.dt)) {
             verdict.add(FaultCode::PressureNotFollowing, Reaction::Vent);
         }
         self.vented = if stale || !alive || !in_range {

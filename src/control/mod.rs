@@ -21,7 +21,7 @@ pub mod tune;
 
 pub use controller::{ControlError, Controller};
 pub use design::default_gains;
-pub use fault::{FirstErrors, MATRIX, Reaction};
+pub use fault::{MATRIX, Reaction};
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -228,6 +228,8 @@ pub struct TickInput {
     pub realtime: bool,
     /// Whether a configuration file differs from what was loaded.
     pub config_changed: bool,
+    /// Whether the supply's pressure switch says low.
+    pub supply_low: bool,
     /// Latest heartbeat of the client that runs the program.
     pub heartbeat: Time,
 }

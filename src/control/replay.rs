@@ -91,6 +91,7 @@ pub fn input(recorded: &TickRecord, request: Option<Request>) -> TickInput {
         estop: recorded.estop,
         realtime: recorded.realtime,
         config_changed: recorded.config_changed,
+        supply_low: recorded.supply_low,
         heartbeat: recorded.heartbeat,
     }
 }

@@ -18,6 +18,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::hardware::DeviceStatistics;
+use crate::hardware::serial_line::LineStatistics;
 use crate::hardware::wiring::ImuProfile;
 use crate::rt;
 use crate::signal::FaultCode;
@@ -117,6 +118,42 @@ pub struct FreeStatus {
     pub regulator: DeviceStatus,
 }
 
+/// The serial line of a regulator, with everything on it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LineStatus {
+    /// Commands sent.
+    pub transactions: u64,
+    /// Replies that did not come in time.
+    pub timeouts: u64,
+    /// Replies that came after they had been given up, and were not used.
+    pub late_frames: u64,
+    /// Replies that could not be understood.
+    pub malformed: u64,
+    /// Commands that a unit rejected.
+    pub rejected: u64,
+    /// Accepted set-points that were not the ones sent.
+    pub echo_mismatches: u64,
+    /// Status tokens that this program does not know.
+    pub unknown_tokens: u64,
+    /// Times the line was opened again.
+    pub reconnects: u64,
+}
+
+impl From<&LineStatistics> for LineStatus {
+    fn from(line: &LineStatistics) -> Self {
+        Self {
+            transactions: line.transactions.get(),
+            timeouts: line.timeouts.get(),
+            late_frames: line.late_frames.get(),
+            malformed: line.malformed.get(),
+            rejected: line.rejected.get(),
+            echo_mismatches: line.echo_mismatches.get(),
+            unknown_tokens: line.unknown_tokens.get(),
+            reconnects: line.reconnects.get(),
+        }
+    }
+}
+
 /// One device.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DeviceStatus {
@@ -146,6 +183,9 @@ pub struct DeviceStatus {
     pub losses: u64,
     /// The latest failure.
     pub last_error: Option<String>,
+    /// Its serial line; `null` where it has none.
+    #[serde(default)]
+    pub line: Option<LineStatus>,
 }
 
 impl DeviceStatus {
@@ -165,6 +205,7 @@ impl DeviceStatus {
             connects: statistics.connects.get(),
             losses: statistics.losses.get(),
             last_error: statistics.last_error().map(|e| e.to_string()),
+            line: None,
         }
     }
 }

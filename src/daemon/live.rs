@@ -8,13 +8,16 @@ use std::time::Duration;
 use rtrb::Producer;
 
 use super::join::{Joints, join, simulated};
-use super::stepped::{Profiles, detached, lock, note_profiles};
+use super::stepped::{Profiles, contacts, detached, lock, note_profiles};
 use super::tick::Switches;
 use super::{Bench, DaemonError, Pump};
 use crate::clock::{Clock, Time};
 use crate::config::Rig;
 use crate::control::{FreeControl, Request};
-use crate::hardware::{DeviceStatistics, I2cOwner, ProfileDesk, SerialOwner, ValveOwner, i2c, serial};
+use crate::hardware::gpio::{self, ContactWatch, GpioValve, OpenPin};
+use crate::hardware::serial_line::LineStatistics;
+use crate::hardware::wiring::GpioWiring;
+use crate::hardware::{DeviceStatistics, DumpValve, I2cOwner, ProfileDesk, SerialOwner, ValveOwner, i2c, serial};
 use crate::record::Recorder;
 use crate::rt;
 use crate::signal::{FreeTick, RegulatorHealth, TickRecord};
@@ -39,6 +42,8 @@ pub struct FreeDevices {
     pub imu: Option<Arc<DeviceStatistics>>,
     /// Its regulator.
     pub regulator: Option<Arc<DeviceStatistics>>,
+    /// The regulator's serial line.
+    pub line: Option<Arc<LineStatistics>>,
 }
 
 /// A running rig. Dropping it without [`Live::stop`] ends the tick first; the bus owners then command zero and
@@ -140,21 +145,45 @@ impl Live {
             let stop = Arc::clone(&stop_owners);
             let owner = SerialOwner::new(&wiring, clock.fork(), timeout, open, command, samples, stop)?;
             for (unit, statistics) in wiring.units.iter().zip(&owner.statistics().units) {
-                note(&mut devices, unit.free, |d| d.regulator = Some(Arc::clone(statistics)));
+                let line = Arc::clone(&owner.statistics().line);
+                note(&mut devices, unit.free, |d| (d.regulator, d.line) = (Some(Arc::clone(statistics)), Some(line)));
             }
             let thread = serial::spawn(&wiring.name, owner, promote.clone()).map_err(thread_failed)?;
             owners.push(thread);
         }
 
-        if let (Some(command), Some(sim)) = (valve, &sim) {
-            let owner = ValveOwner::new(sim.dump_valve(clock.fork()), command, clock.fork(), timeout);
-            let stop = Arc::clone(&stop_owners);
-            let promote = promote.clone();
-            let serve = move || {
-                promote();
-                owner.run(&stop);
+        let wired = rig.wiring.gpio.as_ref();
+        if let Some(command) = valve {
+            let (stop, promote, here) = (Arc::clone(&stop_owners), promote.clone(), clock.fork());
+            let thread = match (&sim, wired.and_then(|gpio| Some((gpio, gpio.dump_valve?)))) {
+                (Some(sim), _) => {
+                    let owner = ValveOwner::new(sim.dump_valve(clock.fork()), command, here, timeout);
+                    Some(named("dump-valve", move || serve_valve(owner, &stop, promote))?)
+                }
+                (None, Some((gpio, line))) => {
+                    let heartbeat = gpio.heartbeat.map(|line| output(gpio, line));
+                    let valve = GpioValve::new(output(gpio, line), heartbeat, &clock);
+                    let owner = ValveOwner::new(valve, command, here, timeout);
+                    Some(named("dump-valve", move || serve_valve(owner, &stop, promote))?)
+                }
+                (None, None) => None,
             };
-            owners.push(named("dump-valve", serve)?);
+            owners.extend(thread);
+        }
+        for (contact, line, flag) in contacts(rig, &switches) {
+            let (stop, here) = (Arc::clone(&stop_owners), clock.fork());
+            owners.push(match (&sim, wired) {
+                (Some(sim), _) => {
+                    let watch = ContactWatch::new(contact, sim.contact(contact, clock.fork()), flag, here);
+                    named("contact", move || watch.run(&stop))?
+                }
+                (None, gpio) => {
+                    let chip = gpio.map(|gpio| gpio.chip.clone()).unwrap_or_default();
+                    let open: OpenPin<_> = Box::new(move || gpio::input(&chip, line));
+                    let watch = ContactWatch::new(contact, open, flag, here);
+                    named("contact", move || watch.run(&stop))?
+                }
+            });
         }
 
         let realtime = rt::Realtime {
@@ -321,6 +350,17 @@ fn serve_i2c<I: embedded_hal::i2c::I2c>(owner: I2cOwner<I>, stop: &AtomicBool, p
     if let Err(error) = owner.run(stop) {
         tracing::error!(%error, "an I2C bus was left in an unknown state");
     }
+}
+
+fn serve_valve<V: DumpValve>(owner: ValveOwner<V>, stop: &AtomicBool, promote: impl Fn()) {
+    promote();
+    owner.run(stop);
+}
+
+/// Opens the output `line`.
+fn output(gpio: &GpioWiring, line: u32) -> OpenPin<linux_embedded_hal::CdevPin> {
+    let chip = gpio.chip.clone();
+    Box::new(move || gpio::output(&chip, line))
 }
 
 fn named(name: &str, body: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, DaemonError> {

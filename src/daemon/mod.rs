@@ -22,6 +22,7 @@ pub mod client;
 mod connection;
 pub mod cycles;
 pub mod doctor;
+pub mod drill;
 mod error;
 mod estop;
 pub mod experiment;

@@ -23,7 +23,8 @@ pub(super) fn status(rig: &Rig, live: &Live, record: &TickRecord) -> Status {
                 }),
                 regulator: devices.regulator.as_deref().map_or_else(DeviceStatus::default, |regulator| {
                     let sample = &tick.pressure;
-                    device(regulator, regulator_health(sample.health), sample.time, record.time)
+                    let status = device(regulator, regulator_health(sample.health), sample.time, record.time);
+                    DeviceStatus { line: devices.line.as_deref().map(Into::into), ..status }
                 }),
                 vented: free.regulator.measures.then(|| is_free_vented(record.time, tick, free)),
                 ..free_status(&free.name, tick)

@@ -1,7 +1,7 @@
 //! The rig on the stepped clock: one scheduler, one thread, fixed order, as fast as the machine can.
 //!
 //! At each event, in this order: I2C owners (they publish what they have read once everybody has caught up with
-//! their transfers, then take their next turn), the valve's owner, the serial owners (polled until they wait),
+//! their transfers, then take their next turn), the valve's owner, the contacts, the serial owners (polled until they wait),
 //! the tick. Plant and chips advance when they are asked. The same seed gives the same bits.
 
 use std::collections::BTreeMap;
@@ -20,12 +20,13 @@ use super::{Bench, DaemonError, Pump};
 use crate::clock::{Stepper, Time};
 use crate::config::Rig;
 use crate::control::Request;
+use crate::hardware::gpio::{Contact, ContactWatch, GpioValve};
 use crate::hardware::{I2cOwner, ProfileDesk, SerialOwner, ValveOwner};
 use crate::record::Recorder;
 use crate::rt::{Schedule, Timing};
 use crate::signal::TickRecord;
 use crate::sim::chips::SimI2c;
-use crate::sim::{Hand, SimDumpValve, SimRig};
+use crate::sim::{Hand, SimInput, SimOutput, SimRig};
 
 type SerialTask = Pin<Box<dyn Future<Output = ()>>>;
 
@@ -58,7 +59,8 @@ pub struct Stepped {
     stepper: Stepper,
     sim: SimRig,
     i2c: Vec<I2cTurn>,
-    valve: Option<ValveOwner<SimDumpValve>>,
+    valve: Option<ValveOwner<GpioValve<SimOutput>>>,
+    contacts: Vec<ContactWatch<SimInput>>,
     serial: Vec<SerialTask>,
     stop: Arc<AtomicBool>,
     tick: Tick,
@@ -107,6 +109,10 @@ impl Stepped {
         }
         let valve =
             valve.map(|command| ValveOwner::new(sim.dump_valve(stepper.clock()), command, stepper.clock(), timeout));
+        let contacts = contacts(rig, &switches).map(|(contact, _, flag)| {
+            ContactWatch::new(contact, sim.contact(contact, stepper.clock()), flag, stepper.clock())
+        });
+        let contacts = contacts.collect();
         switches.realtime.store(true, Ordering::Relaxed);
         let period = rig.control.period;
         Ok(Self {
@@ -116,6 +122,7 @@ impl Stepped {
             sim,
             i2c: turns,
             valve,
+            contacts,
             serial: tasks,
             stop,
             tick,
@@ -149,6 +156,7 @@ impl Stepped {
 
     fn next_event(&self) -> Time {
         let owners = self.i2c.iter().map(I2cTurn::next).chain(self.valve.iter().map(ValveOwner::next_due));
+        let owners = owners.chain(self.contacts.iter().map(ContactWatch::next_due));
         owners.chain(self.stepper.next_timer()).fold(self.due(), Time::min)
     }
 
@@ -159,6 +167,7 @@ impl Stepped {
         if let Some(valve) = self.valve.as_mut().filter(|v| v.next_due() <= now) {
             valve.cycle();
         }
+        self.contacts.iter_mut().filter(|c| c.next_due() <= now).for_each(ContactWatch::cycle);
         let mut context = Context::from_waker(Waker::noop());
         self.serial.retain_mut(|task| task.as_mut().poll(&mut context).is_pending());
         if self.due() <= now {
@@ -241,6 +250,15 @@ pub(super) fn note_profiles<I: embedded_hal::i2c::I2c>(profiles: &mut Profiles, 
     for (frees, desk) in owner.profiles() {
         profiles.extend(frees.iter().map(|&free| (free, Arc::clone(desk))));
     }
+}
+
+/// The contacts that are wired: which, on what line, and whom they tell.
+pub(super) fn contacts(rig: &Rig, switches: &Switches) -> impl Iterator<Item = (Contact, u32, Arc<AtomicBool>)> {
+    let gpio = rig.wiring.gpio.as_ref();
+    let stop = gpio.and_then(|gpio| gpio.estop).map(|line| (Contact::Stop, line, Arc::clone(&switches.estop_input)));
+    let supply =
+        gpio.and_then(|gpio| gpio.supply).map(|line| (Contact::Supply, line, Arc::clone(&switches.supply_low)));
+    stop.into_iter().chain(supply)
 }
 
 /// The recorder, or the error that ended the recording.

@@ -18,6 +18,10 @@ use crate::trajectory::Program;
 pub struct Switches {
     /// The emergency stop; stays set until faults are cleared.
     pub estop: Arc<AtomicBool>,
+    /// The emergency stop's own input is pressed, or cannot be read.
+    pub estop_input: Arc<AtomicBool>,
+    /// The supply's pressure switch says low, or cannot be read.
+    pub supply_low: Arc<AtomicBool>,
     /// A configuration file differs from what was loaded.
     pub config_changed: AtomicBool,
     /// Whether the real-time thread got its rights.
@@ -72,9 +76,10 @@ impl Tick {
             imu: [ImuSample::default(); MAX_FREES],
             pressure: [PressureSample::default(); MAX_FREES],
             request: self.requests.pop().ok(),
-            estop: self.switches.estop.load(Ordering::Acquire),
+            estop: self.switches.estop.load(Ordering::Acquire) || self.switches.estop_input.load(Ordering::Acquire),
             realtime: self.switches.realtime.load(Ordering::Relaxed),
             config_changed: self.switches.config_changed.load(Ordering::Relaxed),
+            supply_low: self.switches.supply_low.load(Ordering::Acquire),
             heartbeat: self.switches.heartbeat.get(),
         };
         for (sample, slot) in input.imu.iter_mut().zip(&mut self.imu) {

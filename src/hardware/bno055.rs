@@ -13,6 +13,7 @@
 //! | units are never written by the crate (reset value: Android) | written here |
 //! | the crate believes a mode before the chip has it | the crate's cached mode is set from the chip each time |
 //! | the profile is lost without power | restored at each set-up, read back, compared |
+//! | something else takes it out of its mode | put back without a reset, in 60 ms: readings, and a tare, go on |
 //! | a profile fits one sensor only | refused when the unique number differs |
 //! | clock stretching corrupts bits on some controllers | norm, and the jump against the gyro |
 //! | two readings within one fusion frame | [`Reading::Repeated`], not published again |
@@ -88,6 +89,8 @@ enum Step {
     Probe,
     Configure,
     Profile,
+    /// Out of its mode, but not reset: back by way of CONFIG mode.
+    Return,
     Identify,
     Check,
     Running,
@@ -162,6 +165,7 @@ impl<I: I2c> Bno055<I> {
             Step::Probe => self.probe(),
             Step::Configure => self.configure(),
             Step::Profile => self.restore_profile(),
+            Step::Return => self.return_to_mode(),
             Step::Identify => self.identify(),
             Step::Check => self.check(),
             Step::Running => Ok((Step::Running, Duration::ZERO)),
@@ -254,6 +258,13 @@ impl<I: I2c> Bno055<I> {
         Ok((Step::Profile, Duration::ZERO))
     }
 
+    fn return_to_mode(&mut self) -> Result<(Step, Duration), HardwareError> {
+        let mut wait = Deferred::default();
+        let mode = self.chip(BNO055OperationMode::CONFIG_MODE, |chip| chip.get_mode())?;
+        self.chip(mode, |chip| chip.set_mode(BNO055OperationMode::CONFIG_MODE, &mut wait))?;
+        Ok((Step::Profile, wait.0))
+    }
+
     fn restore_profile(&mut self) -> Result<(Step, Duration), HardwareError> {
         let config = BNO055OperationMode::CONFIG_MODE;
         let mut wait = Deferred::default();
@@ -317,7 +328,11 @@ impl<I: I2c> Bno055<I> {
         if due || suspicious {
             let state = self.supervise()?;
             if wrong_setting(&state).is_some() {
+                let whole = only_mode_is_wrong(&state);
                 self.restart();
+                if whole {
+                    self.step = Step::Return;
+                }
                 return Ok(Reading::Reset);
             }
         }
@@ -433,6 +448,13 @@ fn wrong_setting(state: &[u8; 14]) -> Option<(&'static str, String, String)> {
     }
     let axes = [at(AXIS_MAP), at(AXIS_MAP + 1)];
     (axes != AXES).then(|| ("its axis map", format!("{AXES:02x?}"), format!("{axes:02x?}")))
+}
+
+/// Whether the chip has only left its mode: a reset would have taken its units along.
+fn only_mode_is_wrong(state: &[u8; 14]) -> bool {
+    let mut state = *state;
+    state[usize::from(0x3D - CALIB_STAT)] = MODE.bits();
+    wrong_setting(&state).is_none()
 }
 
 /// Gyro, Euler angles (unused: they jump beyond 20 degrees of tilt), quaternion, linear acceleration.

@@ -10,6 +10,7 @@ pub mod alicat;
 pub mod alicat_frame;
 pub mod bno055;
 mod error;
+pub mod gpio;
 pub mod i2c;
 pub mod i2c_owner;
 mod imu;

@@ -22,6 +22,12 @@ pub trait DumpValve {
     /// # Errors
     /// If the output cannot be driven; the valve's position is then unknown.
     fn set(&mut self, open: bool) -> Result<(), HardwareError>;
+
+    /// Says that the valve is to stay closed: called in every cycle in which it is.
+    ///
+    /// # Errors
+    /// If the output cannot be driven; the valve then opens by itself, where its heartbeat is wired.
+    fn beat(&mut self) -> Result<(), HardwareError>;
 }
 
 /// Drives a dump valve from the tick's command.
@@ -31,6 +37,8 @@ pub struct ValveOwner<V: DumpValve> {
     clock: Clock,
     timeout: Duration,
     open: Option<bool>,
+    /// The latest failure has been told.
+    told: bool,
     due: Time,
 }
 
@@ -38,7 +46,7 @@ impl<V: DumpValve> ValveOwner<V> {
     /// An owner of `valve` that opens it when the command grows older than `timeout`.
     pub fn new(valve: V, commands: Output<Command>, clock: Clock, timeout: Duration) -> Self {
         let due = clock.now();
-        Self { valve, commands, clock, timeout, open: None, due }
+        Self { valve, commands, clock, timeout, open: None, told: false, due }
     }
 
     /// When the next [`ValveOwner::cycle`] is due.
@@ -52,14 +60,15 @@ impl<V: DumpValve> ValveOwner<V> {
         self.due = now + PERIOD;
         let command = *self.commands.read();
         let open = command.vent || now.since(command.time) > self.timeout;
-        if self.open != Some(open) {
-            match self.valve.set(open) {
-                Ok(()) => self.open = Some(open),
-                // Tried again at the next cycle.
-                Err(error) => {
+        let moved = if self.open == Some(open) { Ok(()) } else { self.valve.set(open) };
+        match moved.and_then(|()| if open { Ok(()) } else { self.valve.beat() }) {
+            Ok(()) => (self.open, self.told) = (Some(open), false),
+            // Tried again at the next cycle.
+            Err(error) => {
+                if !std::mem::replace(&mut self.told, true) {
                     tracing::error!(%error, open, "the dump valve could not be driven");
-                    self.open = None;
                 }
+                self.open = None;
             }
         }
     }

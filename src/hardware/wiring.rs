@@ -10,8 +10,25 @@ pub struct Wiring {
     pub i2c: Vec<I2cWiring>,
     /// Serial lines.
     pub serial: Vec<SerialWiring>,
+    /// Digital lines.
+    pub gpio: Option<GpioWiring>,
     /// A bus owner that sees the tick's command grow older than this commands zero by itself.
     pub command_timeout: Duration,
+}
+
+/// Lines of a GPIO chip; each may be missing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GpioWiring {
+    /// Device file, `/dev/gpiochipN`.
+    pub chip: PathBuf,
+    /// Coil of the dump valve: high keeps it closed.
+    pub dump_valve: Option<u32>,
+    /// Heartbeat for the one-shot in series with that coil.
+    pub heartbeat: Option<u32>,
+    /// The emergency stop's contact: low is pressed.
+    pub estop: Option<u32>,
+    /// The supply's pressure switch: low is too low.
+    pub supply: Option<u32>,
 }
 
 /// One I2C bus.

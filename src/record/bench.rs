@@ -47,6 +47,8 @@ pub struct BenchSuite {
     pub facts: Vec<(String, String)>,
     /// Every method on every case.
     pub rows: Vec<BenchRow>,
+    /// A table of its own instead of the rows', Markdown.
+    pub table: Option<String>,
     /// Caption of the drawing.
     pub caption: &'static str,
     /// Quantity and unit of the horizontal axis.

@@ -42,6 +42,7 @@ fn visit(v: &mut impl Visitor, t: f64, record: &mut TickRecord, truth: Option<&m
         estop,
         realtime,
         config_changed,
+        supply_low,
         heartbeat,
         refusal,
         program_time,
@@ -62,6 +63,7 @@ fn visit(v: &mut impl Visitor, t: f64, record: &mut TickRecord, truth: Option<&m
     v.flag("", "estop", estop);
     v.flag("", "realtime", realtime);
     v.flag("", "config_changed", config_changed);
+    v.flag("", "supply_low", supply_low);
     visit_time(v, "", "heartbeat_ns", heartbeat);
     let Refusal { code, free, fault } = refusal;
     coded(v, "", "refusal", code, |c| c as u8, refusal_of);

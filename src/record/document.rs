@@ -433,6 +433,25 @@ pub struct FaultDocument {
     pub message: String,
 }
 
+/// What the rig was like at one moment; the lists are by FREE.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MomentDocument {
+    /// Time since the run's start, s.
+    pub t_s: f64,
+    /// Where the life cycle stood.
+    pub state: String,
+    /// Measured pressure, Pa; not a number where it is not measured.
+    pub pressure_pa: Vec<f64>,
+    /// Age of that reading, s.
+    pub pressure_age_s: Vec<f64>,
+    /// Command, Pa.
+    pub command_pa: Vec<f64>,
+    /// Estimated angle, rad.
+    pub angle_rad: Vec<f64>,
+    /// Age of what it rests on, s.
+    pub angle_age_s: Vec<f64>,
+}
+
 /// How the loop ran.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LoopDocument {
@@ -487,6 +506,9 @@ pub struct StopDocument {
     /// First-errors black box, in the order of appearance.
     #[serde(default)]
     pub faults: Vec<FaultDocument>,
+    /// The rig around those times: 0.1 s before and after each, every 10 ms.
+    #[serde(default)]
+    pub around: Vec<MomentDocument>,
     /// Tracking errors of the FREEs that were given an angle.
     #[serde(default)]
     pub errors: Vec<ErrorDocument>,
@@ -528,6 +550,7 @@ mod tests {
             },
             stop: Some(StopDocument {
                 faults: vec![FaultDocument::default()],
+                around: vec![MomentDocument { pressure_pa: vec![7e4, f64::INFINITY], ..MomentDocument::default() }],
                 errors: vec![ErrorDocument::default()],
                 ..StopDocument::default()
             }),

@@ -56,8 +56,8 @@ pub use comparison::{Comparison, Deviation, Row};
 pub use design::design_sheet;
 pub use document::{
     Backend, ErrorDocument, FORMAT, FaultDocument, FreeDocument, GainsDocument, HysteresisDocument, LimitsDocument,
-    LoopDocument, ModelDocument, RealtimeDocument, Repetition, RunDocument, RunKind, RunResult, StartDocument,
-    StopDocument, sha256,
+    LoopDocument, ModelDocument, MomentDocument, RealtimeDocument, Repetition, RunDocument, RunKind, RunResult,
+    StartDocument, StopDocument, sha256,
 };
 pub use error::{RecordError, Result};
 pub use export::{Exported, Format, TIME_BASE, export};

@@ -5,6 +5,7 @@
 //! (the failure is returned at the end and stands in the stop document), while a failure to write samples is
 //! returned at once.
 
+use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,7 +13,7 @@ use std::time::Duration;
 use hdrhistogram::Histogram;
 
 use super::columns::{BatchBuilder, limit_names};
-use super::document::{FaultDocument, LoopDocument, StartDocument, StopDocument};
+use super::document::{FaultDocument, LoopDocument, MomentDocument, StartDocument, StopDocument};
 use super::live::LiveFeed;
 use super::metrics;
 use super::rerun_sink::RerunFile;
@@ -21,7 +22,7 @@ use super::samples::SampleWriter;
 use super::{RecordError, Result};
 use crate::clock::Time;
 use crate::control::fault::row;
-use crate::signal::{FaultCode, FaultSet, TickRecord, Truth};
+use crate::signal::{FaultCode, FaultSet, FreeTick, TickRecord, Truth};
 
 /// How to record.
 #[derive(Clone, Debug)]
@@ -180,7 +181,61 @@ struct Watch {
     rig_faults: FaultSet,
     free_faults: Vec<FaultSet>,
     faults: Vec<FaultDocument>,
+    moments: Moments,
     latched: FaultSet,
+}
+
+/// The rig around the first faults: what comes after them is mostly their consequence.
+#[derive(Default)]
+struct Moments {
+    /// The latest ones, for the fault that may come.
+    recent: VecDeque<MomentDocument>,
+    kept: Vec<MomentDocument>,
+    /// Until when they are kept, s.
+    until: Option<f64>,
+    /// When the latest one was taken, s.
+    taken: Option<f64>,
+}
+
+impl Moments {
+    /// Between two moments, s.
+    const APART: f64 = 0.01;
+    /// Before and after a fault, s.
+    const AROUND: f64 = 0.1;
+    /// Most that are kept.
+    const MOST: usize = 200;
+
+    fn see(&mut self, record: &TickRecord, t: f64, fault: bool) {
+        // A nanosecond of rounding is no reason to miss a tick.
+        let due = self.taken.is_none_or(|taken| t - taken >= Self::APART - 1e-9);
+        if !(due || fault) || self.kept.len() >= Self::MOST {
+            return;
+        }
+        self.taken = Some(t);
+        self.recent.push_back(moment(record, t));
+        while self.recent.front().is_some_and(|first| first.t_s < t - Self::AROUND - 1e-9) {
+            self.recent.pop_front();
+        }
+        if fault {
+            self.until = Some(t + Self::AROUND + 1e-9);
+        }
+        if self.until.is_some_and(|until| t <= until) {
+            self.kept.extend(self.recent.drain(..));
+        }
+    }
+}
+
+fn moment(record: &TickRecord, t: f64) -> MomentDocument {
+    let each = |pick: fn(&TickRecord, &FreeTick) -> f64| record.frees().iter().map(|free| pick(record, free)).collect();
+    MomentDocument {
+        t_s: t,
+        state: record.state.name().into(),
+        pressure_pa: each(|_, free| free.pressure.pressure),
+        pressure_age_s: each(|record, free| record.time.seconds_since(free.pressure.time)),
+        command_pa: each(|_, free| free.command),
+        angle_rad: each(|_, free| free.estimate.angle),
+        angle_age_s: each(|_, free| free.estimate.age),
+    }
 }
 
 /// Longest time that the histograms hold apart, ns; two significant digits below it.
@@ -203,6 +258,7 @@ impl Watch {
             rig_faults: FaultSet::NONE,
             free_faults: Vec::new(),
             faults: Vec::new(),
+            moments: Moments::default(),
             latched: FaultSet::NONE,
         })
     }
@@ -223,6 +279,7 @@ impl Watch {
             self.execution.saturating_record(record.execution_ns.into());
         }
         self.latched = self.latched.union(record.latched);
+        let known = self.faults.len();
         let new = FaultSet(record.faults.0 & !self.rig_faults.0);
         self.rig_faults = self.rig_faults.union(new);
         new.iter().for_each(|code| self.faults.push(fault(code, None, record, t)));
@@ -233,6 +290,7 @@ impl Watch {
             let name = &run.start().frees[i].name;
             new.iter().for_each(|code| self.faults.push(fault(code, Some(name), record, t)));
         }
+        self.moments.see(record, t, self.faults.len() > known);
         t
     }
 
@@ -242,6 +300,7 @@ impl Watch {
         stop.ended = now();
         stop.duration_s = self.first.map_or(0.0, |first| self.last.seconds_since(first));
         stop.records = self.statistics.ticks;
+        stop.around = std::mem::take(&mut self.moments.kept);
         stop.limits_seen = limit_names(self.limits).map(str::to_owned).collect();
         stop.loop_statistics = LoopDocument {
             latency_p50_us: micros(&self.latency, 0.5),
@@ -278,6 +337,39 @@ fn fault(code: FaultCode, free: Option<&String>, record: &TickRecord, t: f64) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_first_faults_stand_with_what_was_around_them() {
+        let runs = tempfile::tempdir().unwrap();
+        let options = RecordOptions { rrd: false, ..Default::default() };
+        let start = StartDocument { frees: vec![Default::default()], ..StartDocument::default() };
+        let mut recorder = Recorder::create(runs.path(), start, options).unwrap();
+        for tick in 0..1000u64 {
+            let mut record = TickRecord { tick, time: Time::from_nanos(tick * 2_000_000), ..TickRecord::default() };
+            record.free_count = 1;
+            record.frees[0].command = tick as f64;
+            // Stale from 0.504 s on, and much later lost.
+            if tick >= 252 {
+                record.frees[0].faults.insert(FaultCode::PressureStale);
+            }
+            if tick >= 700 {
+                record.frees[0].faults.insert(FaultCode::BusLost);
+            }
+            recorder.push(&record, None).unwrap();
+        }
+        let run = recorder.finish(StopDocument::default()).unwrap();
+        let stop = Run::open(&run.folder).unwrap().stop().unwrap().clone();
+        let seen: Vec<_> = stop.faults.iter().map(|f| (f.name.as_str(), f.t_s)).collect();
+        assert_eq!(seen, [("pressure_stale", 0.504), ("bus_lost", 1.4)]);
+        let (first, second): (Vec<_>, Vec<_>) = stop.around.iter().partition(|moment| moment.t_s < 1.0);
+        for (moments, fault) in [(first, 0.504), (second, 1.4)] {
+            let times: Vec<_> = moments.iter().map(|m| m.t_s).collect();
+            assert!(times.contains(&fault) && times.windows(2).all(|w| w[1] > w[0]), "{times:?}");
+            assert!(times[0] <= fault - 0.09 && times[times.len() - 1] >= fault + 0.09, "{times:?}");
+            assert!((20..=22).contains(&times.len()), "{times:?}");
+            assert!(moments.iter().all(|m| m.command_pa == [(m.t_s * 500.0).round()]));
+        }
+    }
 
     #[test]
     fn a_full_disk_is_said_once_and_leaves_what_was_written() {

@@ -18,6 +18,8 @@ pub struct BenchConfig {
     pub imu: ImuSim,
     /// Whether a dump valve is fitted.
     pub dump_valve: bool,
+    /// Whether a one-shot in series with its coil wants a heartbeat.
+    pub one_shot: bool,
 }
 
 /// One simulated FREE behind its regulator.

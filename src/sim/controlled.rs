@@ -87,6 +87,7 @@ pub fn plant(nominal: Free, scatter: f64, seed: u64) -> BenchConfig {
         module: None,
         imu: ImuSim { delay: Duration::from_millis(15), noise: 0.05f64.to_radians(), rate_noise: 0.1f64.to_radians() },
         dump_valve: false,
+        one_shot: false,
     }
 }
 
@@ -160,6 +161,7 @@ impl Controlled {
                 estop: false,
                 realtime: true,
                 config_changed: false,
+                supply_low: false,
                 heartbeat: at,
             },
             command: 0.0,

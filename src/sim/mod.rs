@@ -29,6 +29,6 @@ pub use person::{GAUGE, Person, RULER};
 pub use plant::{Plant, PlantFault, STEP};
 pub use plate::{Plate, Swing};
 pub use regulator::{Regulator, Valve};
-pub use rig::{SimDumpValve, SimRig};
+pub use rig::{Button, SimInput, SimOutput, SimRig};
 pub use tip::{HardStop, Tip};
 pub use valve::DumpValve;

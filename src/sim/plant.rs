@@ -56,6 +56,7 @@ enum Event {
     Grip(usize, Option<f64>),
     AddedInertia(usize, f64),
     Dump(bool),
+    Beat,
     Fault(PlantFault),
 }
 
@@ -99,6 +100,8 @@ pub struct Plant {
     module: Option<Swinging>,
     dump: DumpValve,
     supply: f64,
+    /// Below it the supply's pressure switch opens, Pa: the largest full scale.
+    switch: f64,
     /// Grid points passed.
     step: u64,
     /// By grid point of effect, then in the order of their arrival.
@@ -116,8 +119,9 @@ impl Plant {
             seed: config.seed,
             branches,
             module: None,
-            dump: DumpValve::new(config.dump_valve),
+            dump: DumpValve::new(config.dump_valve, config.one_shot),
             supply: SUPPLY_MARGIN * largest,
+            switch: largest,
             step: 0,
             events: BTreeMap::new(),
             arrivals: 0,
@@ -157,6 +161,11 @@ impl Plant {
     /// Switches the dump valve at `at`.
     pub fn set_dump(&mut self, open: bool, at: Time) {
         self.schedule(at, Event::Dump(open));
+    }
+
+    /// The dump valve's heartbeat changes at `at`.
+    pub fn beat(&mut self, at: Time) {
+        self.schedule(at, Event::Beat);
     }
 
     /// Lets something go wrong (or be repaired) at `at`.
@@ -245,6 +254,12 @@ impl Plant {
         self.arrivals += 1;
     }
 
+    /// Whether the supply's pressure switch is closed at `time`.
+    pub fn supply_suffices(&mut self, time: Time) -> bool {
+        self.advance_to(time);
+        self.supply >= self.switch
+    }
+
     /// The state at `time`; everything zero where there is no such FREE.
     fn at(&mut self, free: usize, time: Time) -> Snapshot {
         self.advance_to(time);
@@ -289,6 +304,7 @@ impl Plant {
             Event::Grip(free, moment) => self.branch(free, |b| b.tip.grip = moment),
             Event::AddedInertia(free, inertia) => self.branch(free, |b| b.tip.added_inertia = inertia.max(0.0)),
             Event::Dump(open) => self.dump.switch(open, now),
+            Event::Beat => self.dump.beat(now),
             Event::Fault(PlantFault::Leak(free, time)) => self.branch(free, |b| b.regulator.leak = time.max(1e-6)),
             Event::Fault(PlantFault::Valve(free, valve)) => self.branch(free, |b| b.regulator.valve = valve),
             Event::Fault(PlantFault::Load(free, moment)) => self.branch(free, |b| b.tip.load = moment),

@@ -1,11 +1,14 @@
 //! The whole simulated rig: plant and chips on the buses of a wiring, for the real drivers to find.
 
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::f64::consts::PI;
 use std::io;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use embedded_hal::digital;
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -18,8 +21,9 @@ use super::chips::{
 use super::plant::SCATTER_CUT;
 use super::{AnalogueSim, BenchConfig, Plant};
 use crate::clock::Clock;
+use crate::hardware::HardwareError;
+use crate::hardware::gpio::{Contact, GpioValve, OpenPin};
 use crate::hardware::wiring::{DacWiring, ImuWiring, SerialWiring, Wiring};
-use crate::hardware::{DumpValve, HardwareError};
 
 /// The buses run at the Linux default.
 const I2C_HERTZ: u32 = 100_000;
@@ -33,6 +37,10 @@ pub struct SimRig {
     lines: Vec<Arc<Mutex<SerialLine>>>,
     imus: BTreeMap<usize, Mischief>,
     regulators: BTreeMap<usize, Mischief>,
+    button: Button,
+    one_shot: bool,
+    /// The output behind the dump valve's coil keeps its level whatever it is told.
+    coil_stuck: Arc<AtomicBool>,
 }
 
 impl SimRig {
@@ -40,8 +48,16 @@ impl SimRig {
     /// in their sensors' frames, by FREE.
     pub fn new(bench: &BenchConfig, wiring: &Wiring, axes: &[[f64; 3]], clock: &Clock) -> Self {
         let plant = Arc::new(Mutex::new(Plant::new(bench).starting_at(clock.now())));
-        let mut rig =
-            Self { plant, buses: Vec::new(), lines: Vec::new(), imus: BTreeMap::new(), regulators: BTreeMap::new() };
+        let mut rig = Self {
+            plant,
+            buses: Vec::new(),
+            lines: Vec::new(),
+            imus: BTreeMap::new(),
+            regulators: BTreeMap::new(),
+            button: Button::default(),
+            one_shot: bench.one_shot,
+            coil_stuck: Arc::default(),
+        };
         for wiring in &wiring.i2c {
             let clock = clock.fork();
             let bus = SimI2c::new(clock.clone(), I2C_HERTZ);
@@ -171,21 +187,112 @@ impl SimRig {
         self.regulators.get(&free)
     }
 
-    /// The dump valve, moved on `clock`.
-    pub fn dump_valve(&self, clock: Clock) -> SimDumpValve {
-        SimDumpValve { plant: self.plant(), clock }
+    /// The dump valve on its simulated lines, moved on `clock`.
+    pub fn dump_valve(&self, clock: Clock) -> GpioValve<SimOutput> {
+        let output = |drives, stuck: &Arc<AtomicBool>| {
+            let (plant, clock, stuck) = (self.plant(), clock.clone(), Arc::clone(stuck));
+            let open: OpenPin<SimOutput> = Box::new(move || {
+                Ok(SimOutput { plant: Arc::clone(&plant), clock: clock.clone(), drives, stuck: Arc::clone(&stuck) })
+            });
+            open
+        };
+        let heartbeat = self.one_shot.then(|| output(Drives::Heartbeat, &Arc::default()));
+        GpioValve::new(output(Drives::Coil, &self.coil_stuck), heartbeat, &clock)
+    }
+
+    /// Has the output stage behind the dump valve's coil keep its level whatever it is told, or repairs it.
+    pub fn stick_coil(&self, stuck: bool) {
+        self.coil_stuck.store(stuck, Ordering::Relaxed);
+    }
+
+    /// The emergency stop.
+    pub fn button(&self) -> Button {
+        self.button.clone()
+    }
+
+    /// The line of `contact`, looked at on `clock`.
+    pub fn contact(&self, contact: Contact, clock: Clock) -> OpenPin<SimInput> {
+        let (plant, button) = (self.plant(), self.button());
+        Box::new(move || {
+            let (plant, button, clock) = (Arc::clone(&plant), button.clone(), clock.clone());
+            Ok(SimInput(match contact {
+                Contact::Stop => Box::new(move || !button.0.load(Ordering::Relaxed)),
+                Contact::Supply => {
+                    Box::new(move || plant.lock().unwrap_or_else(PoisonError::into_inner).supply_suffices(clock.now()))
+                }
+            }))
+        })
     }
 }
 
-/// The simulated dump valve.
-pub struct SimDumpValve {
-    plant: Arc<Mutex<Plant>>,
-    clock: Clock,
+/// What a simulated output drives.
+#[derive(Clone, Copy, Debug)]
+enum Drives {
+    Coil,
+    Heartbeat,
 }
 
-impl DumpValve for SimDumpValve {
-    fn set(&mut self, open: bool) -> Result<(), HardwareError> {
-        self.plant.lock().unwrap_or_else(PoisonError::into_inner).set_dump(open, self.clock.now());
+/// A simulated output line.
+pub struct SimOutput {
+    plant: Arc<Mutex<Plant>>,
+    clock: Clock,
+    drives: Drives,
+    stuck: Arc<AtomicBool>,
+}
+
+impl SimOutput {
+    fn set(&mut self, high: bool) {
+        if self.stuck.load(Ordering::Relaxed) {
+            return;
+        }
+        let mut plant = self.plant.lock().unwrap_or_else(PoisonError::into_inner);
+        match self.drives {
+            Drives::Coil => plant.set_dump(!high, self.clock.now()),
+            Drives::Heartbeat => plant.beat(self.clock.now()),
+        }
+    }
+}
+
+impl digital::ErrorType for SimOutput {
+    type Error = Infallible;
+}
+
+impl digital::OutputPin for SimOutput {
+    fn set_low(&mut self) -> Result<(), Infallible> {
+        self.set(false);
         Ok(())
+    }
+
+    fn set_high(&mut self) -> Result<(), Infallible> {
+        self.set(true);
+        Ok(())
+    }
+}
+
+/// The simulated emergency stop: a contact that is closed until somebody presses it, or cuts its wire.
+#[derive(Clone, Debug, Default)]
+pub struct Button(Arc<AtomicBool>);
+
+impl Button {
+    /// Presses the stop, or releases it.
+    pub fn press(&self, pressed: bool) {
+        self.0.store(pressed, Ordering::Relaxed);
+    }
+}
+
+/// A simulated input line, by what it looks at.
+pub struct SimInput(Box<dyn FnMut() -> bool + Send>);
+
+impl digital::ErrorType for SimInput {
+    type Error = Infallible;
+}
+
+impl digital::InputPin for SimInput {
+    fn is_high(&mut self) -> Result<bool, Infallible> {
+        Ok((self.0)())
+    }
+
+    fn is_low(&mut self) -> Result<bool, Infallible> {
+        Ok(!(self.0)())
     }
 }

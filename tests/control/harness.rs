@@ -157,6 +157,7 @@ impl Rig {
                 estop: false,
                 realtime: true,
                 config_changed: false,
+                supply_low: false,
                 heartbeat: Time::ZERO,
             },
             last: TickRecord::default(),

@@ -85,6 +85,7 @@ impl Ideal {
             estop: false,
             realtime: true,
             config_changed: false,
+            supply_low: false,
             heartbeat: time,
         };
         let sequence = self.tick as u32;

@@ -4,6 +4,8 @@
 
 mod adversary;
 mod killed;
+mod lines;
 mod live;
 mod matrix;
+mod pairs;
 mod stage;

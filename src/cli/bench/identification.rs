@@ -19,7 +19,7 @@ const SEEDS: (u64, u64) = (1000, 5000);
 const METHODS: [&str; 3] = ["this fit", "log decrement", "curve fit"];
 
 /// Runs the study, then the comparison.
-pub(super) fn run(size: &Size) -> Result<BenchSuite, Failure> {
+pub(super) fn run(size: &Size<'_>) -> Result<BenchSuite, Failure> {
     let start = Instant::now();
     let study = |seed| {
         let begun = Instant::now();
@@ -86,6 +86,7 @@ pub(super) fn run(size: &Size) -> Result<BenchSuite, Failure> {
         title: "Identification by ring-down",
         facts,
         rows,
+        table: None,
         caption: "Median error of ct against the length of the record, at 0.05 deg of noise",
         x_label: "cycles, at most",
         y_label: "log10 of the error of ct in %",

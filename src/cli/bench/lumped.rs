@@ -29,7 +29,7 @@ struct Case {
 type Integrate = fn(&Lumped, &Feedback, &mut LumpedState, &mut f64, &dyn Fn(f64) -> f64, f64) -> Option<()>;
 
 /// Every integrator with every step on every reference solution.
-pub(super) fn run(_: &Size) -> Result<BenchSuite, Failure> {
+pub(super) fn run(_: &Size<'_>) -> Result<BenchSuite, Failure> {
     let (cases, start) = (cases()?, Instant::now());
     let total = cases.len() * METHODS.len() * STEPS.len();
     let mut progress = Progress::new("lumped", total as f64, "runs");
@@ -66,6 +66,7 @@ pub(super) fn run(_: &Size) -> Result<BenchSuite, Failure> {
             ("wall time".into(), format!("{:.1} s", start.elapsed().as_secs_f64())),
         ],
         rows,
+        table: None,
         caption: "Error against time over the step",
         x_label: "log10 of the time in ms",
         y_label: "log10 of the relative error",

@@ -3,6 +3,7 @@
 //! A suite is one file with a function from [`Size`] to a [`BenchSuite`], and a line in [`SUITES`] and in [`Args`].
 
 mod control;
+mod faults;
 mod fem;
 mod identification;
 mod lumped;
@@ -15,13 +16,14 @@ use crate::config::Rig;
 use crate::record::{BenchRow, BenchSuite};
 
 const EXAMPLES: &str = "\
-Without a suite all of them run, each within a minute on two cores. The random numbers are always the same: but for the
+Without a suite all of them run, each within some minutes on two cores. The random numbers are always the same: but for the
 times, so are the answers. Table on stdout, bench-SUITE.csv, .svg and .html in the runs' folder.
 
 Examples:
   freerig bench
   freerig bench --identification
-  freerig bench --control --count 20 --json";
+  freerig bench --control --count 20 --json
+  freerig bench --faults";
 
 /// Records or plants that are computed between two looks at the progress.
 const CHUNK: u64 = 8;
@@ -42,36 +44,41 @@ pub struct Args {
     /// The controllers on plants that are not the model
     #[arg(long)]
     control: bool,
-    /// FREEs and plants of the studies; of the finite elements' geometries a fifth
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u64).range(1..=100_000))]
-    count: u64,
+    /// Every fault of the matrix on the simulated rig of rig.toml: how soon it is seen, how soon the pressure is gone
+    #[arg(long)]
+    faults: bool,
+    /// FREEs and plants of the studies (200 by default; of the finite elements' geometries 40), repetitions of each fault
+    /// (50 by default)
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    count: Option<u64>,
 }
 
 /// How much a suite computes.
-struct Size {
+struct Size<'a> {
     count: u64,
+    rig: &'a Rig,
 }
 
-type Suite = fn(&Size) -> Result<BenchSuite, Failure>;
+type Suite = fn(&Size<'_>) -> Result<BenchSuite, Failure>;
 /// Whether it is asked for.
 type Asked = fn(&Args) -> bool;
 
-/// Every suite, in the order of a run without any flag.
-const SUITES: [(Asked, Suite); 4] = [
-    (|args| args.lumped, lumped::run),
-    (|args| args.fem, fem::run),
-    (|args| args.identification, identification::run),
-    (|args| args.control, control::run),
+/// Every suite and its count where none is given, in the order of a run without any flag.
+const SUITES: [(Asked, Suite, u64); 5] = [
+    (|args| args.lumped, lumped::run, 1),
+    (|args| args.fem, fem::run, 200),
+    (|args| args.identification, identification::run, 200),
+    (|args| args.control, control::run, 200),
+    (|args| args.faults, faults::run, 50),
 ];
 
 /// Runs what is asked for.
 pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     let rig = Rig::load(&context.rig)?;
-    let every = !SUITES.iter().any(|(asked, _)| asked(&args));
-    let size = Size { count: args.count };
+    let every = !SUITES.iter().any(|(asked, ..)| asked(&args));
     let mut rows = Vec::new();
-    for (_, suite) in SUITES.iter().filter(|(asked, _)| every || asked(&args)) {
-        let suite = suite(&size)?;
+    for (_, suite, count) in SUITES.iter().filter(|(asked, ..)| every || asked(&args)) {
+        let suite = suite(&Size { count: args.count.unwrap_or(*count), rig: &rig })?;
         let page = suite.write(&rig.record.directory)?;
         if !context.json {
             context.print(text(&suite, &page.display().to_string()))?;
@@ -82,6 +89,12 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
 }
 
 fn text(suite: &BenchSuite, page: &str) -> String {
+    let table = suite.table.clone().unwrap_or_else(|| rows(suite));
+    let facts: String = suite.facts.iter().map(|(name, value)| format!("- {name}: {value}\n")).collect();
+    format!("## {} (SIMULATED)\n\n{table}\n\n{facts}- page: {page}\n", suite.title)
+}
+
+fn rows(suite: &BenchSuite) -> String {
     let mut table = Table::new(&["|", "method", "|", "case", "|", ">relative error", "|", ">time, ms", "|", "", "|"]);
     table.row(["|", "---", "|", "---", "|", "--:", "|", "--:", "|", "---", "|"]);
     for row in &suite.rows {
@@ -90,8 +103,7 @@ fn text(suite: &BenchSuite, page: &str) -> String {
         let failed = if row.failed { "FAILED" } else { "" };
         table.row(["|", &row.method, "|", &row.case, "|", &error, "|", &time, "|", failed, "|"]);
     }
-    let facts: String = suite.facts.iter().map(|(name, value)| format!("- {name}: {value}\n")).collect();
-    format!("## {} (SIMULATED)\n\n{table}\n\n{facts}- page: {page}\n", suite.title)
+    table.to_string()
 }
 
 /// `one` of every number below `count`, in their order, on all cores, with a bar.

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use embedded_hal::i2c::I2c;
 
+use super::handle::{Handle, Open};
 use super::recovery::{DAC_LOST_AFTER, Recovery, Rung, with_retries};
 use crate::clock::{Clock, Time};
 use crate::hardware::mcp4728::{Mcp4728, codes_of};
@@ -26,7 +27,9 @@ pub(super) struct DacSeat<I> {
     /// Samples of this turn by channel, until they are published.
     pub staged: [Option<PressureSample>; 4],
     name: String,
-    driver: Option<Mcp4728<I>>,
+    driver: Option<Mcp4728<Handle<I>>>,
+    /// Whether the driver's bus is open.
+    open: bool,
     running: bool,
     resume: Time,
     verified: Time,
@@ -45,6 +48,7 @@ impl<I: I2c> DacSeat<I> {
             due: now,
             staged: [None; 4],
             driver: None,
+            open: false,
             running: false,
             resume: now,
             verified: now,
@@ -60,12 +64,7 @@ impl<I: I2c> DacSeat<I> {
     }
 
     /// One turn: set-points by FREE, Pa, in one transfer.
-    pub fn turn(
-        &mut self,
-        clock: &Clock,
-        open: &mut dyn FnMut() -> Result<I, HardwareError>,
-        pressure: &[f64; MAX_FREES],
-    ) {
+    pub fn turn(&mut self, clock: &Clock, open: Open<'_, I>, pressure: &[f64; MAX_FREES]) {
         if self.running {
             self.write(clock, open, codes_of(&self.wiring, pressure));
         } else if clock.now() >= self.resume {
@@ -80,12 +79,15 @@ impl<I: I2c> DacSeat<I> {
     /// Zero now, and read back: for the end, when nobody commands any more.
     pub fn shut_down(&mut self) -> Result<(), HardwareError> {
         let Some(driver) = &mut self.driver else { return Ok(()) };
-        driver.zero()?;
+        if driver.zero().is_err() {
+            // Its own address is not acknowledged: the last that can be tried.
+            driver.reset_all()?;
+        }
         self.codes = [0; 4];
         driver.verify()
     }
 
-    fn write(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>, codes: [u16; 4]) {
+    fn write(&mut self, clock: &Clock, open: Open<'_, I>, codes: [u16; 4]) {
         let Some(driver) = &mut self.driver else {
             self.running = false;
             return;
@@ -118,7 +120,7 @@ impl<I: I2c> DacSeat<I> {
         self.stage(clock.now(), RegulatorHealth::Unmeasured, status);
     }
 
-    fn connect(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+    fn connect(&mut self, clock: &Clock, open: Open<'_, I>) {
         match self.try_connect(clock, open) {
             Ok(identity) => {
                 self.statistics.note_connected(identity);
@@ -131,33 +133,36 @@ impl<I: I2c> DacSeat<I> {
             Err(error) => {
                 self.statistics.note_error(&error);
                 self.climb(clock, open);
-                self.resume = clock.now() + self.recovery.pace();
+                self.resume = clock.now() + self.recovery.pace(clock.now());
             }
         }
     }
 
-    fn try_connect(
-        &mut self,
-        clock: &Clock,
-        open: &mut dyn FnMut() -> Result<I, HardwareError>,
-    ) -> Result<Identity, HardwareError> {
+    fn try_connect(&mut self, clock: &Clock, open: Open<'_, I>) -> Result<Identity, HardwareError> {
         let driver = match &mut self.driver {
             Some(driver) => driver,
-            none => none.insert(Mcp4728::new(open()?, clock.clone(), &self.name, self.wiring.address)),
+            none => {
+                let bus = Handle::on(open()?);
+                self.open = true;
+                none.insert(Mcp4728::new(bus, clock.clone(), &self.name, self.wiring.address))
+            }
         };
         driver.connect()
     }
 
-    fn climb(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+    fn climb(&mut self, clock: &Clock, open: Open<'_, I>) {
         let was_lost = self.recovery.is_lost();
-        let rung = self.recovery.failed(clock.now());
-        if matches!(rung, Rung::Reopen | Rung::Lost)
+        let rung = self.recovery.failed(clock.now(), clock.now());
+        if (matches!(rung, Rung::Reopen | Rung::Lost) || !self.open)
             && let Some(driver) = &mut self.driver
         {
+            driver.replace_bus(Handle::closed());
+            self.open = false;
             match open() {
                 Ok(bus) => {
                     self.statistics.reopens.increment();
-                    driver.replace_bus(bus);
+                    driver.replace_bus(Handle::on(bus));
+                    self.open = true;
                 }
                 Err(error) => self.statistics.note_error(&error),
             }
@@ -165,7 +170,7 @@ impl<I: I2c> DacSeat<I> {
         if matches!(rung, Rung::Restart | Rung::Lost) {
             // From here the way back leads through `connect`: its first frame is zero.
             self.running = false;
-            self.resume = clock.now() + self.recovery.pace();
+            self.resume = clock.now() + self.recovery.pace(clock.now());
         }
         if rung == Rung::Lost {
             if !was_lost {

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use embedded_hal::i2c::I2c;
 
+use super::handle::{Handle, Open};
 use super::recovery::{IMU_LOST_AFTER, Recovery, Rung, with_retries};
 use crate::clock::{Clock, Time};
 use crate::hardware::bno055::{Bno055, Progress};
@@ -31,7 +32,9 @@ pub(super) struct ImuSeat<I> {
     /// Reading of this turn, until it is published.
     pub staged: Option<ImuSample>,
     name: String,
-    driver: Option<Bno055<I>>,
+    driver: Option<Bno055<Handle<I>>>,
+    /// Whether the driver's bus is open.
+    open: bool,
     running: bool,
     /// The set-up goes on at this time.
     resume: Time,
@@ -57,6 +60,7 @@ impl<I: I2c> ImuSeat<I> {
             due: now,
             staged: None,
             driver: None,
+            open: false,
             running: false,
             resume: now,
             recovery: Recovery::new(IMU_LOST_AFTER),
@@ -69,7 +73,7 @@ impl<I: I2c> ImuSeat<I> {
     }
 
     /// One turn: at most one burst, or one step of the set-up.
-    pub fn turn(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+    pub fn turn(&mut self, clock: &Clock, open: Open<'_, I>) {
         let begun = clock.now();
         if self.running && self.profile.is_asked() {
             self.save_profile(clock);
@@ -96,10 +100,12 @@ impl<I: I2c> ImuSeat<I> {
             return (self.due + period - period / 32).max(now + period / 10);
         }
         let due = self.due + period;
-        if due > now { due } else { now + period }
+        let due = if due > now { due } else { now + period };
+        // A step of the set-up, or the end of the ladder, does not wait for the next turn.
+        if !self.running && self.resume > now { due.min(self.resume) } else { due }
     }
 
-    fn read(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+    fn read(&mut self, clock: &Clock, open: Open<'_, I>) {
         let Some(driver) = &mut self.driver else {
             self.restart(clock.now());
             return;
@@ -135,7 +141,8 @@ impl<I: I2c> ImuSeat<I> {
             Ok(Reading::Reset) => {
                 self.statistics.resets.increment();
                 self.answering = true;
-                self.restart(clock.now());
+                // The driver knows how much of the set-up it takes.
+                (self.running, self.resume) = (false, clock.now());
             }
             Err(_) => self.climb(clock, open),
         }
@@ -149,17 +156,18 @@ impl<I: I2c> ImuSeat<I> {
     }
 
     /// The next step of the set-up.
-    fn set_up(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+    fn set_up(&mut self, clock: &Clock, open: Open<'_, I>) {
         let Some(driver) = &mut self.driver else {
             match open() {
                 Ok(bus) => {
                     let (address, profile) = (self.wiring.address, self.wiring.profile);
-                    self.driver = Some(Bno055::new(bus, clock.clone(), &self.name, address, profile));
+                    self.open = true;
+                    self.driver = Some(Bno055::new(Handle::on(bus), clock.clone(), &self.name, address, profile));
                 }
                 Err(error) => {
                     self.statistics.note_error(&error);
                     self.fail(clock.now());
-                    self.resume = clock.now() + self.recovery.pace();
+                    self.resume = clock.now() + self.recovery.pace(clock.now());
                 }
             }
             return;
@@ -178,22 +186,26 @@ impl<I: I2c> ImuSeat<I> {
             Err(error) => {
                 self.statistics.note_error(&error);
                 self.climb(clock, open);
-                self.resume = clock.now() + self.recovery.pace();
+                self.resume = clock.now() + self.recovery.pace(clock.now());
             }
         }
     }
 
-    fn climb(&mut self, clock: &Clock, open: &mut dyn FnMut() -> Result<I, HardwareError>) {
+    fn climb(&mut self, clock: &Clock, open: Open<'_, I>) {
         self.answering = false;
         let rung = self.fail(clock.now());
-        if matches!(rung, Rung::Reopen | Rung::Lost) {
-            match (open(), &mut self.driver) {
-                (Ok(bus), Some(driver)) => {
+        if (matches!(rung, Rung::Reopen | Rung::Lost) || !self.open)
+            && let Some(driver) = &mut self.driver
+        {
+            driver.replace_bus(Handle::closed());
+            self.open = false;
+            match open() {
+                Ok(bus) => {
                     self.statistics.reopens.increment();
-                    driver.replace_bus(bus);
+                    driver.replace_bus(Handle::on(bus));
+                    self.open = true;
                 }
-                (Ok(_), None) => {}
-                (Err(error), _) => self.statistics.note_error(&error),
+                Err(error) => self.statistics.note_error(&error),
             }
         }
         if matches!(rung, Rung::Restart | Rung::Lost) {
@@ -204,7 +216,8 @@ impl<I: I2c> ImuSeat<I> {
     /// Counts a loss once, when the end of the ladder is reached.
     fn fail(&mut self, now: Time) -> Rung {
         let was_lost = self.recovery.is_lost();
-        let rung = self.recovery.failed(now);
+        let good = if self.running { self.changed } else { now };
+        let rung = self.recovery.failed(good, now);
         if rung == Rung::Lost && !was_lost {
             self.statistics.losses.increment();
         }

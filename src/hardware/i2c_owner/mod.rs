@@ -9,6 +9,7 @@
 //! a few transfers, and the waiting in between is everybody's.
 
 mod dac;
+mod handle;
 mod imu;
 mod recovery;
 
@@ -22,6 +23,7 @@ use triple_buffer::{Input, Output};
 pub use self::dac::DAC_PERIOD;
 use self::dac::DacSeat;
 use self::imu::ImuSeat;
+pub use self::recovery::IMU_LOST_AFTER;
 use super::HardwareError;
 use super::profile::ProfileDesk;
 use super::statistics::DeviceStatistics;

@@ -23,7 +23,7 @@ const RESTART_AFTER: Duration = Duration::from_millis(150);
 /// A DAC that has failed for this long is lost.
 pub(super) const DAC_LOST_AFTER: Duration = RESTART_AFTER;
 /// An IMU that has failed for this long is lost.
-pub(super) const IMU_LOST_AFTER: Duration = Duration::from_secs(1);
+pub const IMU_LOST_AFTER: Duration = Duration::from_secs(1);
 /// Pace of the attempts to get a lost device back.
 pub(super) const LOST_PACE: Duration = Duration::from_millis(500);
 /// Pace of the attempts to set up a device that is not lost yet.
@@ -65,9 +65,9 @@ impl Recovery {
         *self = Self::new(self.lost_after);
     }
 
-    /// The device failed at `now`: what is due?
-    pub fn failed(&mut self, now: Time) -> Rung {
-        let elapsed = now.since(*self.since.get_or_insert(now));
+    /// The device failed at `now`, and was last known to work at `good`: what is due?
+    pub fn failed(&mut self, good: Time, now: Time) -> Rung {
+        let elapsed = now.since(*self.since.get_or_insert(good));
         let mut climb = |rung: Duration, to: Rung| {
             (self.reached < rung && elapsed >= rung).then(|| {
                 self.reached = rung;
@@ -86,9 +86,13 @@ impl Recovery {
         self.lost
     }
 
-    /// Time to the next attempt to set the device up.
-    pub fn pace(&self) -> Duration {
-        if self.lost { LOST_PACE } else { SETUP_PACE }
+    /// Time from `now` to the next attempt to set the device up; the last one before it is lost comes in time.
+    pub fn pace(&self, now: Time) -> Duration {
+        match self.since {
+            _ if self.lost => LOST_PACE,
+            Some(since) => SETUP_PACE.min((since + self.lost_after).since(now)),
+            None => SETUP_PACE,
+        }
     }
 }
 
@@ -123,13 +127,14 @@ mod tests {
     fn each_rung_is_climbed_once_and_the_last_one_holds() {
         let at = |ms: u64| Time::from_nanos(1_000_000_000 + ms * 1_000_000);
         let mut ladder = Recovery::new(Duration::from_millis(500));
-        let rungs: Vec<_> = [0, 40, 50, 60, 149, 150, 160, 499].map(|ms| ladder.failed(at(ms))).into();
+        let rungs: Vec<_> = [0, 40, 50, 60, 149, 150, 160, 499].map(|ms| ladder.failed(at(0), at(ms))).into();
         use Rung::{Continue, Reopen, Restart};
         assert_eq!(rungs, [Continue, Continue, Reopen, Continue, Continue, Restart, Continue, Continue]);
         assert!(!ladder.is_lost());
-        assert_eq!([ladder.failed(at(500)), ladder.failed(at(1000))], [Rung::Lost; 2]);
+        assert_eq!(ladder.pace(at(499)), Duration::from_millis(1));
+        assert_eq!([ladder.failed(at(0), at(500)), ladder.failed(at(0), at(1000))], [Rung::Lost; 2]);
         assert!(ladder.is_lost());
         ladder.succeeded();
-        assert_eq!(ladder.failed(at(2000)), Continue);
+        assert_eq!(ladder.failed(at(2000), at(2000)), Continue);
     }
 }

@@ -1,0 +1,67 @@
+//! A device's handle on its bus, which can be let go of.
+//!
+//! An adapter that has been unplugged does not come back under its name as long as somebody holds its old file open:
+//! so the handle of a device that fails is closed *before* the bus is opened anew, and stays closed until that works.
+
+use std::fmt;
+
+use embedded_hal::i2c::{Error, ErrorKind, ErrorType, I2c, Operation};
+
+use crate::hardware::HardwareError;
+
+/// Opens the bus.
+pub(super) type Open<'o, I> = &'o mut dyn FnMut() -> Result<I, HardwareError>;
+
+/// An open bus, or none.
+#[derive(Debug)]
+pub(super) struct Handle<I>(Option<I>);
+
+impl<I> Handle<I> {
+    /// A handle on `bus`.
+    pub fn on(bus: I) -> Self {
+        Self(Some(bus))
+    }
+
+    /// A handle on nothing: every transfer fails.
+    pub const fn closed() -> Self {
+        Self(None)
+    }
+}
+
+/// Why a transfer failed.
+#[derive(Debug)]
+pub(super) enum HandleError<E> {
+    /// The bus is not open.
+    Closed,
+    /// The bus's own error.
+    Bus(E),
+}
+
+impl<E: Error> Error for HandleError<E> {
+    fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Closed => ErrorKind::Other,
+            Self::Bus(error) => error.kind(),
+        }
+    }
+}
+
+impl<E: fmt::Debug> fmt::Display for HandleError<E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Closed => f.write_str("the bus is not open"),
+            Self::Bus(error) => write!(f, "{error:?}"),
+        }
+    }
+}
+
+impl<I: ErrorType> ErrorType for Handle<I> {
+    type Error = HandleError<I::Error>;
+}
+
+impl<I: I2c> I2c for Handle<I> {
+    fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), Self::Error> {
+        let bus = self.0.as_mut().ok_or(HandleError::Closed)?;
+        bus.transaction(address, operations).map_err(HandleError::Bus)
+    }
+}
