@@ -100,7 +100,8 @@ impl Bench {
         let nominal = Free::published_code();
         let sim = PlantSim { nominal, scatter: 0.0, hysteresis: 0.0, load_moment: 0.0, regulator, analogue: None };
         let imu = ImuSim { delay: Duration::ZERO, noise: 0.0, rate_noise: 0.0 };
-        let config = BenchConfig { seed: 1, plants: vec![sim; units], module: None, imu, dump_valve: false, one_shot: false };
+        let config =
+            BenchConfig { seed: 1, plants: vec![sim; units], module: None, imu, dump_valve: false, one_shot: false };
         let plant = Arc::new(Mutex::new(Plant::new(&config)));
         let mut line = SerialLine::new(BAUD, 1);
         let mischief = wiring(units).units.iter().map(|u| line.attach(AlicatChip::new(*u, plant.clone()))).collect();

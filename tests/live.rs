@@ -91,6 +91,30 @@ fn the_page_is_served_while_a_run_is_recorded_and_refers_to_nothing_outside() {
     });
 }
 
+/// Addresses, in the kernel's notation, at which somebody listens on `port`.
+fn listening(port: u16) -> Vec<String> {
+    let wanted = format!("{port:04X}");
+    let mut found = Vec::new();
+    for table in ["/proc/self/net/tcp", "/proc/self/net/tcp6"] {
+        for line in std::fs::read_to_string(table).unwrap_or_default().lines().skip(1) {
+            let columns: Vec<_> = line.split_whitespace().collect();
+            // State 0A: listening.
+            if let Some((address, _)) = columns[1].split_once(':').filter(|(_, p)| *p == wanted && columns[3] == "0A") {
+                found.push(address.to_owned());
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn page_and_data_are_served_on_loopback_only() {
+    let view = LiveView::start(&LiveOptions { page_port: 0, data_port: 0, ..LiveOptions::default() }).unwrap();
+    for port in [port(&view.url()), port(&view.data_url())] {
+        assert_eq!(listening(port), ["0100007F"], "127.0.0.1 and nothing else: port {port}");
+    }
+}
+
 #[test]
 fn a_frozen_tab_is_cut_off_and_harms_neither_the_record_nor_the_end() {
     let runs = tempfile::tempdir().unwrap();

@@ -179,6 +179,56 @@ async fn what_is_too_large_or_malformed_is_refused_with_a_reason_and_does_not_re
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn ten_thousand_malformed_and_oversized_requests_reach_nobody_and_cost_nothing() {
+    let Bench { mut desk, path, server: _server, client, folder: _folder, .. } = bench();
+    let open_files = || std::fs::read_dir("/proc/self/fd").unwrap().count();
+    let before = open_files();
+    let fill = |length: usize| "x".repeat(length);
+    let requests = [
+        String::new(),
+        "\r\n\r\n".into(),
+        "\0\x01\x02 not HTTP\r\n\r\n".into(),
+        "GET /v1/status HTTP/9.9\r\nhost: x\r\n\r\n".into(),
+        "POST /v1/arm HTTP/1.1\r\nhost: x\r\ncontent-length: -1\r\n\r\n".into(),
+        "POST /v1/arm HTTP/1.1\r\nhost: x\r\ncontent-length: 99999999999999999999\r\n\r\n".into(),
+        "POST /v1/arm HTTP/1.1\r\nhost: x\r\ntransfer-encoding: chunked\r\n\r\nzz\r\n".into(),
+        // Announced, and never sent.
+        "POST /v1/set HTTP/1.1\r\nhost: x\r\ncontent-length: 1000\r\n\r\n{".into(),
+        format!("POST /v1/set HTTP/1.1\r\nhost: x\r\ncontent-length: 3000000\r\n\r\n{}", fill(200_000)),
+        format!("GET /{} HTTP/1.1\r\nhost: x\r\n\r\n", fill(500_000)),
+        format!("GET /v1/status HTTP/1.1\r\nhost: x\r\n{}\r\n", "a: b\r\n".repeat(10_000)),
+        // As deep as a body may be long.
+        format!("POST /v1/set HTTP/1.1\r\nhost: x\r\ncontent-length: 60000\r\n\r\n{}", "[".repeat(60_000)),
+    ];
+    let flood = move |begin: usize| {
+        for index in begin..begin + 2500 {
+            let mut stream = UnixStream::connect(&path).unwrap();
+            // Refused, or cut off, while it is still being sent.
+            stream.write_all(requests[index % requests.len()].as_bytes()).ok();
+            // Every other one does not even wait for what it is told.
+            if index % 2 == 0 {
+                stream.shutdown(std::net::Shutdown::Write).ok();
+                stream.read_to_end(&mut Vec::new()).ok();
+            }
+        }
+    };
+    let floods: Vec<_> = (0..4)
+        .map(|part| {
+            tokio::task::spawn_blocking({
+                let flood = flood.clone();
+                move || flood(part * 2500)
+            })
+        })
+        .collect();
+    for part in floods {
+        part.await.unwrap();
+    }
+    assert_eq!(client.status().await.unwrap().state, "disarmed");
+    assert!(desk.requests.try_recv().is_err(), "nothing of it has reached the supervisor");
+    until(|| open_files() <= before + 2).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn the_emergency_stop_passes_stuck_requests_and_a_full_house() {
     let Bench { desk, client, path, server: _server, folder: _folder, .. } = bench();
     // The supervisor takes nothing: the queue fills up, the rest is told so.

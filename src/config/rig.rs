@@ -48,6 +48,10 @@ pub struct LoopConfig {
 pub struct RecordConfig {
     /// Folder of the runs.
     pub directory: PathBuf,
+    /// Most that the runs may take together, bytes: the oldest are removed; `None` where none ever is.
+    pub most: Option<u64>,
+    /// Least that must be free on the disk for a run to begin, bytes.
+    pub free: u64,
     /// Serve the live view on loopback.
     pub live_view: bool,
     /// Port of the live view's page, on loopback.

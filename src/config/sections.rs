@@ -132,6 +132,8 @@ fn read_safety(mut section: Section<'_>) -> RawSafety {
 fn read_record(mut section: Section<'_>) -> RecordConfig {
     let record = RecordConfig {
         directory: section.path("directory", "runs"),
+        most: section.has("runs_mib").then(|| section.number("runs_mib", 0.0, 1.0..=1e9) as u64),
+        free: section.number("free_mib", 100.0, 0.0..=1e9) as u64,
         live_view: section.flag("live_view", true),
         page_port: section.integer("page_port", 9090, 1024..=65535) as u16,
         data_port: section.integer("data_port", 9876, 1024..=65535) as u16,

@@ -13,8 +13,8 @@ use crate::config::experiment::{Experiment, Kind};
 use crate::config::{Rig, SourceFile, Whisk};
 use crate::control::{Gains, Request};
 use crate::record::{
-    Backend, LiveFeed, ModuleDocument, RealtimeDocument, RecordOptions, Recorder, Repetition, Run, RunKind, RunResult,
-    StartDocument, StopDocument, TubeDocument, WhiskDocument, sha256, write_report,
+    Backend, LiveFeed, ModuleDocument, Quota, RealtimeDocument, RecordOptions, Recorder, Repetition, Run, RunKind,
+    RunResult, StartDocument, StopDocument, TubeDocument, WhiskDocument, sha256, write_report,
 };
 use crate::signal::{FaultCode, FaultSet, FreeTick, Quantity, RequestKind, State, TickRecord};
 use crate::sim::Hand;
@@ -191,6 +191,10 @@ fn once<B: Bench>(
     watch: &mut dyn FnMut(&Progress<'_>),
 ) -> Result<Run, DaemonError> {
     let options = RecordOptions { truth: rig.is_simulated(), live: job.live.clone(), ..RecordOptions::default() };
+    let quota = Quota { most: rig.record.most, free: rig.record.free };
+    for removed in quota.make_room(&rig.record.directory)? {
+        tracing::info!(run = removed, "removed, the oldest: the runs take more than [record] runs_mib allows");
+    }
     let recorder = Recorder::create(&rig.record.directory, document(bench, rig, job, repetition), options)?;
     let (id, folder) = (recorder.id().to_owned(), recorder.folder().to_owned());
     let mut tell = |phase, duration, record: &TickRecord| {

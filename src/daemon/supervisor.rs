@@ -262,18 +262,24 @@ impl Supervisor {
     /// Logs what happened and sends it to whoever listens.
     fn tell(&self, what: Happening) {
         match &what {
-            Happening::State { from, to } => tracing::info!("{from} -> {to}"),
-            Happening::Fault(f) if !f.active && !f.latched => tracing::info!("{}: no longer", f.name),
+            Happening::State { from, to } => tracing::info!(state = to, "{from} -> {to}"),
+            Happening::Fault(f) if !f.active && !f.latched => {
+                tracing::info!(fault = f.name, free = f.free, "{}: no longer", f.name)
+            }
             Happening::Fault(f) => {
                 let about = f.free.as_ref().map(|free| format!(" ({free})")).unwrap_or_default();
                 match f.latched {
-                    true => tracing::error!("fault {}{about}, latched: {}", f.name, f.remedy),
-                    false => tracing::warn!("{}{about}: {}", f.name, f.remedy),
+                    true => {
+                        tracing::error!(fault = f.name, free = f.free, "fault {}{about}, latched: {}", f.name, f.remedy)
+                    }
+                    false => tracing::warn!(fault = f.name, free = f.free, "{}{about}: {}", f.name, f.remedy),
                 }
             }
-            Happening::RunStarted(run) => tracing::info!("run {} has begun: {}", run.id, run.name),
+            Happening::RunStarted(run) => tracing::info!(run = run.id, "run {} has begun: {}", run.id, run.name),
             Happening::RunFinished(run) => {
                 tracing::info!(
+                    run = run.id,
+                    outcome = run.outcome,
                     "run {}: {}{}",
                     run.id,
                     run.outcome,

@@ -55,6 +55,19 @@ pub enum RecordError {
         /// What is wrong with it.
         reason: String,
     },
+    /// The disk is too full for another run.
+    #[error(
+        "{}: {} MiB are free, {} must be ([record] free_mib): delete old runs (`freerig runs` lists them), or have \
+         `runs_mib` under [record] remove the oldest", .folder.display(), .free >> 20, .floor >> 20
+    )]
+    NoRoom {
+        /// Folder of the runs.
+        folder: PathBuf,
+        /// Bytes that are free.
+        free: u64,
+        /// Bytes that must be.
+        floor: u64,
+    },
     /// There is no such run.
     #[error("no run `{wanted}` in {folder}{}", there(.nearest.as_deref(), .latest, *.count), folder = folder.display())]
     NoSuchRun {

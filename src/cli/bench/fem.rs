@@ -31,8 +31,6 @@ const REFERENCE: usize = 4;
 const SMEARED: usize = 2;
 /// What the automatic mesh is asked for.
 const TOLERANCE: f64 = 5e-3;
-/// Of so many geometries of the study the suite takes one.
-const SHARE: u64 = 5;
 /// Widths of the fibres that are compared, mm.
 const WIDTHS: [f64; 3] = [0.2, 0.4, 0.97];
 /// Below this, a solve is repeated until its time can be told, s.
@@ -52,7 +50,7 @@ pub(super) fn run(size: &Size) -> Result<BenchSuite, Failure> {
     let start = Instant::now();
     let (mut rows, mut curves, mut facts) = (Vec::new(), Vec::new(), Vec::new());
     named(&mut rows, &mut curves)?;
-    let some = (size.count / SHARE).max(1);
+    let some = size.count;
     seeded(some, &mut rows, &mut curves, &mut facts)?;
     facts.push(("width of the fibres, 40 deg".into(), widths()?));
     facts.push(("wall time".into(), format!("{:.1} s", start.elapsed().as_secs_f64())));

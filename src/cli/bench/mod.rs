@@ -47,8 +47,8 @@ pub struct Args {
     /// Every fault of the matrix on the simulated rig of rig.toml: how soon it is seen, how soon the pressure is gone
     #[arg(long)]
     faults: bool,
-    /// FREEs and plants of the studies (200 by default; of the finite elements' geometries 40), repetitions of each fault
-    /// (50 by default)
+    /// FREEs, plants and geometries of the studies (200 by default, of the finite elements 40), repetitions of each
+    /// fault (50 by default)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     count: Option<u64>,
 }
@@ -66,7 +66,7 @@ type Asked = fn(&Args) -> bool;
 /// Every suite and its count where none is given, in the order of a run without any flag.
 const SUITES: [(Asked, Suite, u64); 5] = [
     (|args| args.lumped, lumped::run, 1),
-    (|args| args.fem, fem::run, 200),
+    (|args| args.fem, fem::run, 40),
     (|args| args.identification, identification::run, 200),
     (|args| args.control, control::run, 200),
     (|args| args.faults, faults::run, 50),

@@ -1,9 +1,9 @@
 //! `freerig plan`: what to command, what can be reached, and what to build.
 
 mod design;
-mod whisk;
 mod inverse;
 mod path;
+mod whisk;
 mod workspace;
 
 use std::str::FromStr;
