@@ -50,8 +50,8 @@ pub(super) fn run(size: &Size) -> Result<BenchSuite, Failure> {
     let start = Instant::now();
     let (mut rows, mut curves, mut facts) = (Vec::new(), Vec::new(), Vec::new());
     named(&mut rows, &mut curves)?;
-    let some = size.count;
-    seeded(some, &mut rows, &mut curves, &mut facts)?;
+    let count = size.count;
+    seeded(count, &mut rows, &mut curves, &mut facts)?;
     facts.push(("width of the fibres, 40 deg".into(), widths()?));
     facts.push(("wall time".into(), format!("{:.1} s", start.elapsed().as_secs_f64())));
     Ok(BenchSuite {
@@ -59,6 +59,7 @@ pub(super) fn run(size: &Size) -> Result<BenchSuite, Failure> {
         title: "Finite elements: every tier against the finest section",
         facts,
         rows,
+        table: None,
         caption: "Error against time of a curve of pressures, over the mesh",
         x_label: "log10 of the time in ms",
         y_label: "log10 of the relative error",
@@ -71,7 +72,7 @@ fn tiers() -> Vec<Tier> {
     let closed = |fidelity: Fidelity| Tier {
         name: fidelity.name().into(),
         answer: Box::new(move |scene| {
-            let points = ask(scene, fidelity)?.points;
+            let points = ask(scene, fidelity, &mut |_| {})?.points;
             Ok(points.into_iter().map(|p| p.rest.map(Outcome::from)).collect())
         }),
     };
@@ -186,7 +187,7 @@ fn solids(
     for (name, mesh) in [("solid, coarse", &halved), ("solid", &usual)] {
         let (states, time) = timed(|| {
             let mut solid = Solid::new(&scene.tube, scene.length, mesh, None)?;
-            Ok(solid.follow(&Tip::straight(scene.hold.ends()), &scene.pressures)?.states)
+            Ok(solid.follow(&Tip::straight(scene.hold.ends()), &scene.pressures, &mut |_| {})?.states)
         })?;
         let reached = states.len() == scene.pressures.len();
         let answer = |of: &dyn Fn(&SolidEquilibrium) -> Outcome| reached.then(|| states.iter().map(of).collect());

@@ -46,7 +46,7 @@ pub fn rods_model_error(scene: &ModuleScene, pressure: f64) -> Result<Option<f64
     singles.dedup();
     let mut worst: Option<f64> = None;
     for single in &singles {
-        let ends = model_error(single, &ask(single, Fidelity::Section)?)?;
+        let ends = model_error(single, &ask(single, Fidelity::Section, &mut |_| {})?)?;
         worst = worst.into_iter().chain(ends).reduce(f64::max);
     }
     Ok(worst)
