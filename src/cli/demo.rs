@@ -1,7 +1,7 @@
 //! `freerig demo`: the whole job on the simulated rig, in this process.
 //!
 //! Stiffness and hysteresis of the simulated FREE first; then one trajectory in real time, with the threads, drivers and files of the daemon; then step and trajectory on the
-//! stepped clock, with the gains that the paper's authors published and with freerig's own.
+//! stepped clock, with the gains that the paper's authors published and with freerig's own; a module's whisk at the end.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ use tracing::level_filters::LevelFilter;
 
 use super::experiment::stepped;
 use super::outcome::{Outcome, Watch, degrees};
-use super::{Context, Failure, log};
+use super::{Context, Failure, demo_whisk, log};
 use crate::config::experiment::{Experiment, Kind};
 use crate::config::{Backend, Rig};
 use crate::control::ControllerKind;
@@ -52,6 +52,8 @@ struct Demo {
     machine: Machine,
     /// On the stepped clock: published gains, then own.
     comparisons: Vec<Comparison>,
+    /// The module's whisk on the stepped clock.
+    whisk: RunResult,
     /// One page for all of it.
     report: String,
     elapsed_s: f64,
@@ -107,9 +109,14 @@ pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
     let comparisons =
         EXPERIMENTS.iter().map(|(kind, gains)| compare(&rig, *kind, gains, context)).collect::<Result<Vec<_>, _>>()?;
 
+    context.note(
+        "4. on the stepped clock: four FREEs under one plate draw a figure eight, as planned for their nominal module",
+    );
+    let whisk = demo_whisk::run(&rig.record.directory, context)?;
+
     let report = overview(&rig, real_time.as_ref(), &comparisons)?.display().to_string();
     let elapsed_s = begun.elapsed().as_secs_f64();
-    let demo = Demo { simulated: true, calibration, real_time, machine, comparisons, report, elapsed_s };
+    let demo = Demo { simulated: true, calibration, real_time, machine, comparisons, whisk, report, elapsed_s };
     if context.json { context.print_json(&demo) } else { context.print(demo.text().trim_end()) }
 }
 
@@ -311,6 +318,17 @@ impl Demo {
                 "{:<12} gain margin {} published, {} own; arming asks for {GAIN_MARGIN_MIN}",
                 "", margins[0], margins[1]
             ));
+        }
+        if let Some(tip) = &self.whisk.tip {
+            let mm = |m: Option<f64>| m.map_or_else(|| "-".into(), |m| format!("{:.2} mm", 1e3 * m));
+            let (rms, peak) = (mm(Some(tip.rms_error_m)), mm(Some(tip.peak_error_m)));
+            line(format!(
+                "{:<12} {:<22} {rms:>10} {peak:>10} {:>10}  {}",
+                "whisk", "plate, estimated", "-", self.whisk.outcome
+            ));
+            let (rms, peak) = (mm(tip.true_rms_error_m), mm(tip.true_peak_error_m));
+            line(format!("{:<12} {:<22} {rms:>10} {peak:>10} {:>10}", "", "plate, true (SIMULATED)", "-"));
+            line(format!("{:<12} report: {}/report.html", "", self.whisk.folder));
         }
         line(format!(
             "\ndone in {:.0} s. Every run with its report, its samples and its run.rrd is in runs/",

@@ -32,6 +32,7 @@ mod compare;
 mod config;
 mod control;
 mod demo;
+mod demo_whisk;
 mod disarm;
 mod doctor;
 mod estop;

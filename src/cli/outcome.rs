@@ -116,7 +116,9 @@ impl Outcome {
         let mut line = |line: String| {
             let _ = writeln!(text, "{}", line.trim_end());
         };
-        line(format!("{:width$}  {:<12} {:>10} {:>10} {:>10}  result", "run", "FREE", "RMS", "peak", "final"));
+        if self.runs.iter().any(|run| run.frees.iter().any(|free| is_worth_a_line(free, run))) {
+            line(format!("{:width$}  {:<12} {:>10} {:>10} {:>10}  result", "run", "FREE", "RMS", "peak", "final"));
+        }
         for run in &self.runs {
             for free in run.frees.iter().filter(|free| is_worth_a_line(free, run)) {
                 line(format!(
@@ -165,7 +167,8 @@ impl Outcome {
 
 /// A FREE that only held its pressure has no figures.
 fn is_worth_a_line(free: &FreeResult, run: &RunResult) -> bool {
-    run.frees.len() == 1 || free.rms_error_rad.is_some() || free.hysteresis_rad.is_some()
+    let of_its_own = free.rms_error_rad.is_some() || free.hysteresis_rad.is_some();
+    run.frees.len() == 1 || (of_its_own && run.tip.is_none())
 }
 
 fn scatter(names: Vec<String>, runs: &[RunResult]) -> Vec<Scatter> {

@@ -12,6 +12,9 @@ use crate::fem::rod::Resolution;
 use crate::fem::section::Mesh;
 use crate::fem::section_law::{Request, SectionLaw, SectionLawError};
 
+/// What a FREE's winding angle is off by for a scatter of one, rad: a winding machine's degree for 5 %.
+const ANGLE: f64 = 20.0 * std::f64::consts::PI / 180.0;
+
 /// FREEs under a plate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModuleSim {
@@ -24,8 +27,9 @@ pub struct ModuleSim {
 }
 
 impl ModuleSim {
-    /// The module that is really there: winding angle, wall and rubber of each FREE are off by its scatter, drawn from
-    /// the bench's seed. Lengths and places are measured when a module is built, and are right.
+    /// The module that is really there: wall and rubber of each FREE are off by its scatter, drawn from the bench's seed,
+    /// and the winding angle by a degree where they are by 5 %. Lengths and places are measured when a module is built,
+    /// and are right.
     pub fn true_scene(&self, bench: &BenchConfig) -> ModuleScene {
         let mut scene = self.scene.clone();
         for (free, &index) in scene.frees.iter_mut().zip(&self.frees) {
@@ -36,7 +40,7 @@ impl ModuleSim {
                 1.0 + scatter * x.clamp(-SCATTER_CUT, SCATTER_CUT)
             };
             let tube = &mut free.tube;
-            tube.gamma *= off();
+            tube.gamma += ANGLE * (off() - 1.0);
             tube.wall *= off();
             tube.law = tube.law.with_shear_modulus(tube.law.shear_modulus() * off());
         }

@@ -6,6 +6,8 @@ mod path;
 mod whisk;
 mod workspace;
 
+pub use whisk::example as example_whisk;
+
 use std::str::FromStr;
 
 use serde::Serialize;

@@ -4,19 +4,20 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::anyhow;
-use clap::ValueEnum;
+use clap::{Args as _, FromArgMatches, ValueEnum};
 use nalgebra::Vector3;
 use serde::Serialize;
 
+use super::{LimitArgs, psi, refused};
+use crate::cli::list::List;
+use crate::cli::scene::build;
 use crate::cli::{Context, Failure};
-use crate::config::{Cache, Rig, Whisk, atomic};
+use crate::config::{Rig, Whisk, atomic};
 use crate::fem::module::{Layout, ModuleScene};
-use crate::fem::rod::Resolution;
-use crate::fem::section::Mesh;
 use crate::plan::whisk::{Eight, Order, Pattern, Scaled, WhiskPlan, eight, pattern};
-use crate::plan::{Limits, PlanError, Rest};
+use crate::plan::{Limits, PathPlan, PlanError, Rest};
 use crate::record::whisk_sheet;
-use crate::units::{Frequency, Length, Percent, Pressure, PressureRate};
+use crate::units::{Frequency, Length, Pressure, PressureRate};
 
 /// Distance of neighbouring axes of a module that no rig describes, m.
 const SPACING: f64 = 0.02;
@@ -54,8 +55,8 @@ pub struct Args {
     height: Length,
     /// Where the eight crosses itself: from the middle of the bases; by default where the plate is with all pressures
     /// at 40 % of the highest
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_hyphen_values = true)]
-    centre: Vec<Length>,
+    #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true)]
+    centre: Option<List<Length, 3>>,
     /// Eights a second
     #[arg(long, default_value = "0.25Hz")]
     frequency: Frequency,
@@ -68,18 +69,14 @@ pub struct Args {
     /// Pressure in between, of two FREEs whenever one is highest and one lowest; by default the mean: a sinusoid
     #[arg(long)]
     middle: Option<Pressure>,
-    /// Highest pressure that may be commanded; by default the rig's
-    #[arg(long)]
-    max_pressure: Option<Pressure>,
-    /// Least margin: the share of the stiffness and the clearance at rest that must be left
-    #[arg(long, default_value = "10%")]
-    margin: Percent,
     /// Pressures a second
     #[arg(long, default_value = "100Hz")]
     rate: Frequency,
     /// The file to write
     #[arg(long, value_name = "FILE", default_value = "whisk.toml")]
     output: PathBuf,
+    #[command(flatten)]
+    limits: LimitArgs,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
@@ -101,6 +98,9 @@ struct Report {
     reason: Option<String>,
     /// What the file holds in its place: the scale of what was asked, 0 to 1.
     scale: Option<f64>,
+    /// What was scaled.
+    #[serde(skip)]
+    scaled: Option<Scaled>,
     period_s: f64,
     samples: usize,
     /// Of what the file holds.
@@ -121,45 +121,47 @@ struct Report {
     report: String,
 }
 
+/// What came of the flags.
+struct Made {
+    planned: WhiskPlan,
+    seconds: f64,
+}
+
+impl Made {
+    /// What is run, which is what is valid: as asked, or in its place.
+    fn plan(&self) -> &PathPlan {
+        self.planned.instead.as_ref().map_or(&self.planned.plan, |instead| &instead.plan)
+    }
+
+    fn whisk(&self, name: &str) -> Whisk {
+        let plan = self.plan();
+        Whisk {
+            name: name.into(),
+            periods: PERIODS,
+            lead: LEAD,
+            times: plan.times.clone(),
+            pressures: plan.pressures.clone(),
+            planned: plan.planned.iter().map(|p| p.position).collect(),
+            predicted: plan.predicted.iter().map(|p| p.position).collect(),
+        }
+    }
+}
+
 /// Plans a whisk and writes its file and its page.
 pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     let rig = Rig::load(&context.rig)?;
-    let scene = scene(&rig)?;
-    let frees = || {
-        (rig.control.frees.iter().enumerate()).filter(|(i, _)| rig.module.as_ref().is_none_or(|m| m.frees.contains(i)))
-    };
-    let own =
-        |of: &dyn Fn(&crate::control::Limits) -> f64| frees().map(|(_, f)| of(&f.limits)).fold(f64::INFINITY, f64::min);
-    let highest = args.max_pressure.map_or(own(&|l| l.pressure_max), Pressure::si);
-    if !(highest > 0.0) {
-        return Err(Failure::usage(anyhow!("--max-pressure {:.3} must be positive", Pressure::pascals(highest))));
-    }
-    let cache = Cache::usual();
-    context.note("the FREEs' laws: some seconds the first time");
-    let wanted = highest.max(if args.pattern == Kind::Eight { 0.0 } else { args.highest.si() });
-    let module = scene
-        .module(Mesh::default(), wanted, Resolution::DEFAULT, |request| cache.section_law(request))
-        .map_err(|error| Failure::usage(error).remedy("correct [module] and the calibrations of its FREEs"))?;
-    let rest = Rest::new(&module, &scene.loads([0.0; 4])).map_err(Failure::usage)?;
-    let limits = Limits { slew: own(&|l| l.slew), margin: args.margin.si(), ..Limits::up_to(highest) };
-    let begun = Instant::now();
-    let planned = args.plan(&rest, &limits).map_err(|error| {
-        Failure::usage(error).remedy("`freerig plan whisk --help` lists the flags, their units and examples")
-    })?;
-    let planning_s = begun.elapsed().as_secs_f64();
-    // What is run is what is valid.
-    let (plan, figure, scale) = match &planned.instead {
-        Some(instead) => (&instead.plan, &instead.figure, Some((instead.scaled, instead.scale))),
-        None => (&planned.plan, &planned.figure, None),
-    };
+    let made = args.make(&rig, context)?;
+    let (planned, plan) = (&made.planned, made.plan());
+    let figure = planned.instead.as_ref().map_or(&planned.figure, |instead| &instead.figure);
     std::fs::create_dir_all(&rig.record.directory)?;
     let page = rig.record.directory.join(format!("plan-whisk-{}.html", args.pattern.name()));
     let asked_whole = planned.instead.is_none() && planned.plan.valid() && planned.plan.facts.missed == 0;
     let mut report = Report {
         pattern: args.pattern.name(),
         valid: asked_whole,
-        reason: (!asked_whole).then(|| reason(&planned)),
-        scale: scale.map(|s| s.1),
+        reason: (!asked_whole).then(|| reason(planned)),
+        scale: planned.instead.as_ref().map(|instead| instead.scale),
+        scaled: planned.instead.as_ref().map(|instead| instead.scaled),
         period_s: planned.period,
         samples: plan.times.len(),
         length_m: figure.as_ref().map(|f| f.length),
@@ -174,25 +176,23 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         highest_pressure_pa: plan.pressures.iter().flatten().copied().fold(0.0, f64::max),
         fastest_pa_per_s: plan.facts.fastest,
         clipped_samples: plan.clipped.iter().filter(|c| c.iter().any(Option::is_some)).count(),
-        planning_s,
+        planning_s: made.seconds,
         file: None,
         report: page.display().to_string(),
     };
     if plan.valid() {
-        let file = Whisk {
-            name: args.pattern.name().into(),
-            periods: PERIODS,
-            lead: LEAD,
-            times: plan.times.clone(),
-            pressures: plan.pressures.clone(),
-            planned: plan.planned.iter().map(|p| p.position).collect(),
-            predicted: plan.predicted.iter().map(|p| p.position).collect(),
-        };
-        atomic::write(&args.output, file.to_toml(&report.remarks(scale.map(|s| s.0))).as_bytes())?;
+        let text = made.whisk(args.pattern.name()).to_toml(&report.remarks());
+        atomic::write(&args.output, text.as_bytes())?;
         report.file = Some(args.output.display().to_string());
     }
-    whisk_sheet(&format!("Whisk: {}", args.pattern.name()), plan, report.facts(scale.map(|s| s.0))).write(&page)?;
-    if context.json { context.print_json(&report) } else { context.print(report.text(scale.map(|s| s.0))) }
+    whisk_sheet(&format!("Whisk: {}", args.pattern.name()), plan, report.facts()).write(&page)?;
+    if context.json { context.print_json(&report) } else { context.print(report.text()) }
+}
+
+/// The eight of the flags' defaults for the module of `rig`.
+pub fn example(rig: &Rig, context: &Context) -> Result<Whisk, Failure> {
+    let args = Args::from_arg_matches(&Args::augment_args(clap::Command::new("whisk")).get_matches_from(["whisk"]));
+    Ok(args.map_err(|error| Failure::usage(anyhow!("{error}")))?.make(rig, context)?.whisk("eight"))
 }
 
 /// The rig's module, or four of its first FREE.
@@ -215,13 +215,30 @@ impl Kind {
 }
 
 impl Args {
+    fn make(&self, rig: &Rig, context: &Context) -> Result<Made, Failure> {
+        let scene = scene(rig)?;
+        let of_module = |index: &usize| rig.module.as_ref().is_none_or(|module| module.frees.contains(index));
+        let frees = || rig.control.frees.iter().enumerate().filter(|(i, _)| of_module(i)).map(|(_, free)| &free.limits);
+        let slew = frees().map(|limits| limits.slew).fold(f64::INFINITY, f64::min);
+        let own = frees().map(|limits| limits.pressure_max).fold(f64::INFINITY, f64::min);
+        let mut limits = self.limits.limits(slew);
+        limits.high = limits.high.map(|high| high.min(own));
+        let top = limits.high.iter().copied().fold(0.0, f64::max);
+        let top = if self.pattern == Kind::Eight { top } else { top.max(self.highest.si()) };
+        let built = build(&scene, top, context)?;
+        let rest = Rest::new(&built.module, &scene.loads([0.0; 4])).map_err(refused)?;
+        let begun = Instant::now();
+        let planned = self.plan(&rest, &limits).map_err(refused)?;
+        Ok(Made { planned, seconds: begun.elapsed().as_secs_f64() })
+    }
+
     fn plan(&self, rest: &Rest<'_>, limits: &Limits) -> Result<WhiskPlan, PlanError> {
         let order = match self.pattern {
             Kind::Eight => {
-                let centre = match self.centre.as_slice() {
-                    &[x, y, z] => Vector3::new(x.si(), y.si(), z.si()),
+                let centre = match self.centre {
+                    Some(List(centre)) => Vector3::from(centre.map(Length::si)),
                     // With room to go either way.
-                    _ => middle(rest, limits)?,
+                    None => middle(rest, limits)?,
                 };
                 let figure = Eight::level(centre, self.width.si(), self.height.si(), self.frequency.si());
                 return eight(rest, &figure, limits, self.rate.si());
@@ -244,7 +261,6 @@ fn middle(rest: &Rest<'_>, limits: &Limits) -> Result<Vector3<f64>, PlanError> {
 /// Why what was asked is not all there.
 fn reason(planned: &WhiskPlan) -> String {
     let facts = &planned.plan.facts;
-    let psi = |p: &[f64; 4]| p.map(|p| format!("{:.2}", Pressure::pascals(p).display_value())).join(", ");
     match (&facts.ramp, &facts.ended, &facts.shortfall) {
         (Some(ramp), ..) if planned.plan.predicted.is_empty() => {
             format!(
@@ -253,21 +269,21 @@ fn reason(planned: &WhiskPlan) -> String {
                 psi(&ramp.pressures)
             )
         }
-        (_, Some((t, ended)), _) => format!("at {t:.2} s the module {} (at {} psi)", ended.end, psi(&ended.pressures)),
+        (_, Some((t, ended)), _) => format!("at {t:.2} s the module {} (at {})", ended.end, psi(&ended.pressures)),
         (_, _, Some(shortfall)) => format!("{} samples fall short of the eight: {shortfall}", facts.missed),
         _ => "its margin is below the least one".into(),
     }
 }
 
 impl Report {
-    fn facts(&self, scaled: Option<Scaled>) -> Vec<(String, String)> {
+    fn facts(&self) -> Vec<(String, String)> {
         let mm = |m: Option<f64>, digits: usize| m.map_or("-".into(), |m| format!("{:.digits$} mm", 1e3 * m));
         let mut facts: Vec<(String, String)> = Vec::new();
         let mut fact = |name: &str, value: String| facts.push((name.into(), value));
         if let Some(reason) = &self.reason {
             fact("not possible as asked", reason.clone());
         }
-        if let (Some(scaled), Some(scale)) = (scaled, self.scale) {
+        if let (Some(scaled), Some(scale)) = (self.scaled, self.scale) {
             let what = match scaled {
                 Scaled::Swing => "the swing of the pressures",
                 Scaled::Pressures => "all pressures",
@@ -297,16 +313,16 @@ impl Report {
     }
 
     /// What stands at the head of the file.
-    fn remarks(&self, scaled: Option<Scaled>) -> Vec<String> {
-        let facts = self.facts(scaled).into_iter().filter(|(name, _)| name != "planned");
+    fn remarks(&self) -> Vec<String> {
+        let facts = self.facts().into_iter().filter(|(name, _)| name != "planned");
         let mut remarks = vec!["Made by `freerig plan whisk`; run it with `freerig whisk`.".into()];
         remarks.extend(facts.map(|(name, value)| format!("{name}: {value}")));
         remarks
     }
 
-    fn text(&self, scaled: Option<Scaled>) -> String {
+    fn text(&self) -> String {
         let mut text = format!("whisk: {}\n", self.pattern);
-        for (name, value) in self.facts(scaled) {
+        for (name, value) in self.facts() {
             text.push_str(&format!("\n{name}: {value}"));
         }
         match &self.file {
