@@ -234,7 +234,18 @@ fn what_does_not_count_is_free_and_makes_margin() {
     let mut sideways = point;
     sideways.position_weight.z = 0.0;
     let [of_point, of_sideways] = [point, sideways].map(|t| inverse::cold(&rest, &t, &limits).unwrap());
-    assert!(of_sideways.shortfall.is_none() && of_sideways.margin.smooth > of_point.margin.smooth + 1e-3);
+    assert!(of_sideways.shortfall.is_none(), "{:?}", of_sideways.shortfall);
+    let (free, held) = (of_sideways.margin, of_point.margin);
+    // So near rest (0.917) there is little to be had; errors of what is reached are worth some parts in a million.
+    assert!(free.smooth > held.smooth + 1e-4, "{free:?} {held:?} {:?}", of_sideways.pressures);
+    // No other height has more.
+    for by in [-5e-4, -1e-4, 1e-4, 5e-4] {
+        let other = Target::point(of_sideways.state.position() + Vector3::z() * by);
+        let other = inverse::cold(&rest, &other, &limits).unwrap();
+        if other.shortfall.is_none() {
+            assert!(other.margin.smooth < free.smooth + 1e-4, "{by} {:?} {free:?}", other.margin);
+        }
+    }
     let off = of_sideways.state.position() - state.position();
     assert!(off.xy().norm() <= REACHED && off.z.abs() > 1e-4, "{off}");
     // A turn alone, wherever the plate is.
