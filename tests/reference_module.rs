@@ -51,7 +51,9 @@ fn rest(module: &Module) -> State {
 }
 
 /// A row of module.csv: (degrees, pressures, position m, rotation).
-fn rows() -> Vec<(f64, [f64; 4], Vector3<f64>, UnitQuaternion<f64>)> {
+type Row = (f64, [f64; 4], Vector3<f64>, UnitQuaternion<f64>);
+
+fn rows() -> Vec<Row> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/reference/module.csv");
     let row = |line: &str| {
         let v: Vec<f64> = line.split(',').take(10).map(|x| x.parse().unwrap()).collect();
