@@ -9,9 +9,8 @@
 //! | [`solid`] | finite tube with its ends, mixed hexahedra | any finite strain; end effects, bending, buckling |
 //! | [`rod`], [`module`] | geometrically exact rods under a rigid plate | any bend, payload, buckling |
 //!
-//! A rod's law is tabulated from the section by [`section_law`].
-//!
-//! [`fidelity`] asks any of them the same question, and chooses the cheapest that a scene needs.
+//! [`fidelity`] asks any of them the same question, and chooses the cheapest that a scene needs. A rod's law is
+//! tabulated from the section by [`section_law`].
 //!
 //! All answer in the same terms: a [`tube::Tube`], its [`ends::Ends`], an [`ends::Equilibrium`]. Signs: z from base to
 //! tip, twist and moment right-handed about z, `force` and `moment` are what the closed tube does to its distal

@@ -21,7 +21,7 @@
 //! ways are cut. Where they become arbitrarily short there is a limit point, and the error says how far it came.
 //! [`Path`] goes around it, by arc length.
 //!
-//! A [`ModuleScene`] is a module as it is built, with FREEs for rods; [`answer`] is what the rods say of it.
+//! A [`ModuleScene`] is a module as it is built, with FREEs for rods; [`answer()`] is what the rods say of it.
 
 mod answer;
 mod clearance;
