@@ -12,7 +12,8 @@
 //! [`fidelity`] asks any of them the same question, and chooses the cheapest that a scene needs; [`measure`] says how
 //! far two of their answers are apart.
 //!
-//! [`lumped`] are the springs that they give the lumped model.
+//! [`lumped`] are the springs that they give the lumped model. A rod's law is tabulated from the section by
+//! [`section_law`].
 //!
 //! All answer in the same terms: a [`tube::Tube`], its [`ends::Ends`], an [`ends::Equilibrium`]. Signs: z from base to
 //! tip, twist and moment right-handed about z, `force` and `moment` are what the closed tube does to its distal

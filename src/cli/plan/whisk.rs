@@ -115,6 +115,8 @@ struct Report {
     least_margin_s: Option<f64>,
     highest_pressure_pa: f64,
     fastest_pa_per_s: f64,
+    /// The highest pressure that the rig's FREEs take.
+    rig_pressure_max_pa: f64,
     clipped_samples: usize,
     planning_s: f64,
     file: Option<String>,
@@ -125,6 +127,8 @@ struct Report {
 struct Made {
     planned: WhiskPlan,
     seconds: f64,
+    /// The highest pressure that the rig's FREEs take, Pa.
+    own: f64,
 }
 
 impl Made {
@@ -175,6 +179,7 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         least_margin_s: plan.facts.least_margin.map(|m| m.1),
         highest_pressure_pa: plan.pressures.iter().flatten().copied().fold(0.0, f64::max),
         fastest_pa_per_s: plan.facts.fastest,
+        rig_pressure_max_pa: made.own,
         clipped_samples: plan.clipped.iter().filter(|c| c.iter().any(Option::is_some)).count(),
         planning_s: made.seconds,
         file: None,
@@ -222,14 +227,17 @@ impl Args {
         let slew = frees().map(|limits| limits.slew).fold(f64::INFINITY, f64::min);
         let own = frees().map(|limits| limits.pressure_max).fold(f64::INFINITY, f64::min);
         let mut limits = self.limits.limits(slew);
-        limits.high = limits.high.map(|high| high.min(own));
+        match self.pattern {
+            Kind::Eight => limits.high = limits.high.map(|high| high.min(own)),
+            // A pattern is answered as it is asked, whatever the rig may do.
+            Kind::Paper | Kind::Round => limits.high = [self.highest.si(); 4],
+        }
         let top = limits.high.iter().copied().fold(0.0, f64::max);
-        let top = if self.pattern == Kind::Eight { top } else { top.max(self.highest.si()) };
         let built = build(&scene, top, context)?;
         let rest = Rest::new(&built.module, &scene.loads([0.0; 4])).map_err(refused)?;
         let begun = Instant::now();
         let planned = self.plan(&rest, &limits).map_err(refused)?;
-        Ok(Made { planned, seconds: begun.elapsed().as_secs_f64() })
+        Ok(Made { planned, seconds: begun.elapsed().as_secs_f64(), own })
     }
 
     fn plan(&self, rest: &Rest<'_>, limits: &Limits) -> Result<WhiskPlan, PlanError> {
@@ -305,6 +313,10 @@ impl Report {
         let (highest, fastest) =
             (Pressure::pascals(self.highest_pressure_pa), PressureRate::pascals_per_second(self.fastest_pa_per_s));
         fact("pressures", format!("up to {highest:.2}, changing by up to {fastest:.2}"));
+        if self.highest_pressure_pa > self.rig_pressure_max_pa * (1.0 + 1e-9) {
+            let max = Pressure::pascals(self.rig_pressure_max_pa);
+            fact("not for this rig", format!("its FREEs take {max:.2}: raise max_pressure_psi, or lower --highest"));
+        }
         if self.clipped_samples > 0 {
             fact("clipped", format!("{} of {} samples", self.clipped_samples, self.samples));
         }
