@@ -262,7 +262,8 @@ impl Solid {
     fn go(&mut self, target: &Target, told: &mut dyn FnMut(f64)) -> Result<(), SolidError> {
         let start = Target { gas: self.state.gas, loads: self.system.loads, cap: self.state.cap };
         let mut predictor = (self.system.negative() == 0 && self.iterations > 0).then(|| self.predictor()).flatten();
-        let still = start.loads == target.loads && (0..COORDINATES).all(|q| start.cap[q] == target.cap[q] || !self.system.held[q]);
+        let still = start.loads == target.loads
+            && (0..COORDINATES).all(|q| start.cap[q] == target.cap[q] || !self.system.held[q]);
         let (mut done, mut step) = (0.0, 1.0_f64);
         while done < 1.0 {
             let part = (done + step).min(1.0);
