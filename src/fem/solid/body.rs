@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::cap::{COORDINATES, Coordinates, Tilt};
 use super::element::{Place, Positions, Rubber, across};
-use super::fiber::Fiber;
+use super::fiber::{Fiber, THREADS};
 use super::shapes::{NODES, PRESSURES};
 
 /// What holds a node.
@@ -67,6 +67,8 @@ pub struct State {
     pub positions: Vec<Vector3<f64>>,
     /// Pressures in the rubber, four for each element.
     pub pressures: Vec<[f64; PRESSURES]>,
+    /// Tensions of the threads of each element's fibre.
+    pub tensions: Vec<[f64; THREADS]>,
     /// The cap.
     pub cap: Coordinates,
     /// Gauge pressure of the gas.
@@ -79,10 +81,11 @@ impl State {
         for (y, (a, b)) in self.positions.iter_mut().zip(a.positions.iter().zip(&b.positions)) {
             *y += (a - b) * factor;
         }
-        let (a_pressures, b_pressures) = (a.pressures.iter().flatten(), b.pressures.iter().flatten());
-        for (p, (a, b)) in self.pressures.iter_mut().flatten().zip(a_pressures.zip(b_pressures)) {
-            *p += (a - b) * factor;
-        }
+        let inner = |own: &mut f64, (a, b): (&f64, &f64)| *own += (a - b) * factor;
+        let others = a.pressures.iter().flatten().zip(b.pressures.iter().flatten());
+        self.pressures.iter_mut().flatten().zip(others).for_each(|(own, pair)| inner(own, pair));
+        let others = a.tensions.iter().flatten().zip(b.tensions.iter().flatten());
+        self.tensions.iter_mut().flatten().zip(others).for_each(|(own, pair)| inner(own, pair));
         for (q, (a, b)) in self.cap.iter_mut().zip(a.cap.iter().zip(&b.cap)) {
             *q += (a - b) * factor;
         }
@@ -95,6 +98,7 @@ impl Body {
         State {
             positions: self.reference.clone(),
             pressures: vec![[0.0; PRESSURES]; self.cells.len()],
+            tensions: vec![[0.0; THREADS]; self.cells.len()],
             cap: [0.0; COORDINATES],
             gas: 0.0,
         }

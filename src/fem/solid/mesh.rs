@@ -4,7 +4,7 @@
 //! edges along the tube are helices of the fibres' pitch. A sector, one fibre's share of the circumference, has
 //! cyclic symmetry: the nodes of its last face are those of its first. It is meshed in a frame that turns with
 //! the fibres and round the circumference, where it is a brick. Bending needs the whole circumference, and a rigid motion sideways
-//! should be exact, so the whole is meshed in space, with elements so short that they turn by less than half a radian.
+//! should be exact, so the whole is meshed in space, with elements so short that they turn by half a radian or so.
 
 use std::f64::consts::TAU;
 
@@ -17,8 +17,8 @@ use super::fiber::Fiber;
 use super::shapes::NODES;
 use crate::fem::tube::Tube;
 
-/// Most a whole tube's element may turn along the tube, rad.
-const MOST_TURN: f64 = 0.5;
+/// Most that an element of a whole tube may ever turn, rad: beyond it a parabola is no helix any more.
+const MOST_TURN: f64 = 1.2;
 /// Most elements of a mesh.
 pub const MOST_ELEMENTS: usize = 20_000;
 
@@ -45,6 +45,9 @@ pub enum MeshError {
         /// Largest element, m.
         largest: f64,
     },
+    /// Turn of an element out of range.
+    #[error("elements that turn by up to {0} rad along a whole tube: must be above 0 and at most {MOST_TURN}")]
+    Turn(f64),
     /// Length not positive.
     #[error("length {0} m: must be positive and finite")]
     Length(f64),
@@ -86,22 +89,26 @@ pub struct Mesh {
     pub along_growth: f64,
     /// Largest element along the tube, m.
     pub largest: f64,
+    /// Most that an element of a whole tube may turn along the tube, rad; of no account in a sector.
+    pub most_turn: f64,
 }
 
 impl Mesh {
-    /// A sector with 2 elements through the wall, 6 round for line fibres and 2 under a strip, from 0.5 mm at the
-    /// ends to 10 mm.
+    /// A sector with 2 elements through the wall, 6 round for line fibres and 2 under a strip, from 0.5 mm (strips:
+    /// 1 mm) at the ends to 10 mm. With strips at 40 deg it is within 0.05 % of three times as many unknowns where the
+    /// tube is free, and within 0.4 % in force and moment where it is blocked.
     pub fn sector(tube: &Tube) -> Mesh {
         let line = tube.fiber_width == 0.0;
         Mesh {
             part: Part::Sector,
-            wall: if line { 2 } else { 3 },
+            wall: 2,
             wall_growth: if line { 1.0 } else { 1.5 },
             around: if line { 6 } else { 2 },
-            around_growth: 1.8,
-            first: 0.5e-3,
-            along_growth: 1.5,
+            around_growth: 2.2,
+            first: if line { 0.5e-3 } else { 1e-3 },
+            along_growth: if line { 1.5 } else { 2.0 },
             largest: 10e-3,
+            most_turn: 0.5,
         }
     }
 
@@ -168,6 +175,9 @@ pub(super) fn tube(tube: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> 
         let Mesh { first, along_growth: growth, largest, .. } = *mesh;
         return Err(MeshError::Along { first, growth, largest });
     }
+    if mesh.part == Part::Whole && !(mesh.most_turn > 0.0 && mesh.most_turn <= MOST_TURN) {
+        return Err(MeshError::Turn(mesh.most_turn));
+    }
     let unit = tube.outer_radius();
     let length = length / unit;
     let pitch = tube.gamma.tan();
@@ -175,7 +185,7 @@ pub(super) fn tube(tube: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> 
 
     let (first, mut largest) = (mesh.first / unit, mesh.largest / unit);
     if mesh.part == Part::Whole {
-        largest = largest.min(MOST_TURN / pitch.abs());
+        largest = largest.min(mesh.most_turn / pitch.abs());
     }
     let half = graded(0.5 * length, first, mesh.along_growth, largest);
     let along: Vec<f64> = half.iter().chain(half.iter().rev()).copied().collect();

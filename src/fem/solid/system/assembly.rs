@@ -17,6 +17,7 @@ impl System {
         self.energy = 0.0;
         self.volume = 0.0;
         self.misfit = 0.0;
+        self.slack = 0.0;
         self.residual.fill(0.0);
         self.cap_residual = [0.0; COORDINATES];
         self.right.fill(0.0);
@@ -38,7 +39,8 @@ impl System {
             if cell.inner {
                 surface::add(&place, state.gas, tangent, out);
             }
-            fiber::add(&place, cell.fiber, self.body.fiber_ea, tangent, out);
+            fiber::add(&place, cell.fiber, self.body.fiber_ea, &state.tensions[index], tangent, out);
+            self.slack = self.slack.max(out.slack);
             self.energy += out.energy;
             self.volume += out.volume;
             let volume = out.mass[(0, 0)].abs();
@@ -64,9 +66,10 @@ impl System {
                 kept.stiffness = out.mass.try_inverse().unwrap_or_else(Matrix4::zeros) * bulk;
                 kept.constraint = out.constraint;
             }
-            // What is left once the element's pressures have taken up its misfit.
+            // What is left once the element's pressures and tensions have taken up its misfit.
             let pressures = kept.stiffness * Vector4::from(out.misfit);
             let mut right = out.force;
+            right.iter_mut().zip(&out.taken_up).for_each(|(r, t)| *r += t);
             for (constraint, pressure) in kept.constraint.iter().zip(&pressures) {
                 for (r, c) in right.iter_mut().zip(constraint) {
                     *r += c * pressure;

@@ -7,6 +7,7 @@ use super::{Control, GAS, System};
 use crate::fem::solid::body::State;
 use crate::fem::solid::cap::{COORDINATES, Coordinates, TURN, Tilt};
 use crate::fem::solid::element::{SIZE, TWIST};
+use crate::fem::solid::fiber::{self, Fiber, THREADS};
 use crate::fem::solid::shapes::PRESSURES;
 use crate::fem::sparse::HELD;
 
@@ -15,6 +16,7 @@ use crate::fem::sparse::HELD;
 pub struct Direction {
     pub(super) nodes: Vec<f64>,
     pub(super) pressures: Vec<[f64; PRESSURES]>,
+    pub(super) tensions: Vec<[f64; THREADS]>,
     pub(super) cap: [f64; COORDINATES],
     /// Change of the gas's pressure.
     pub gas: f64,
@@ -65,14 +67,14 @@ impl System {
         for q in 0..COORDINATES {
             volume -= self.corner[(q, GAS)] * cap[q];
         }
-        Direction { nodes, pressures: Vec::new(), cap, gas, volume }
+        Direction { nodes, pressures: Vec::new(), tensions: Vec::new(), cap, gas, volume }
     }
 
-    /// Fills in the pressures of a direction, from the state of the last tangent.
+    /// Fills in the pressures and tensions of a direction, from `state`, that of the last evaluation.
     pub fn recover(&self, state: &State, with_residual: bool, direction: &mut Direction) {
         let tilt = Tilt::of(&state.cap);
-        direction.pressures = (self.body.cells.iter().zip(&self.kept).zip(self.matrix.blocks()))
-            .map(|((cell, kept), block)| {
+        let inside = (self.body.cells.iter().zip(&self.kept).zip(self.matrix.blocks()).enumerate()).map(
+            |(index, ((cell, kept), block))| {
                 let mut change: [f64; SIZE] = [0.0; SIZE];
                 for (r, &unknown) in block.iter().enumerate().filter(|&(_, &u)| u != HELD) {
                     change[r] = direction.nodes[unknown];
@@ -86,9 +88,18 @@ impl System {
                     let by: f64 = kept.constraint[a].iter().zip(&change).map(|(b, u)| b * u).sum();
                     by + if with_residual { kept.misfit[a] } else { 0.0 }
                 });
-                (kept.stiffness * misfit).into()
-            })
-            .collect();
+                let mut tensions = [0.0; THREADS];
+                if cell.fiber != Fiber::None {
+                    let gathered = self.body.gather(cell, state);
+                    let place = self.body.place(cell, &gathered, state);
+                    let now = with_residual.then(|| &state.tensions[index]);
+                    tensions = fiber::tighten(&place, cell.fiber, self.body.fiber_ea, now, &change);
+                }
+                let pressures: [f64; PRESSURES] = (kept.stiffness * misfit).into();
+                (pressures, tensions)
+            },
+        );
+        (direction.pressures, direction.tensions) = inside.unzip::<_, _, Vec<_>, Vec<_>>();
     }
 
     /// Moves `state` by `factor` times a direction; returns the largest displacement.
@@ -110,6 +121,11 @@ impl System {
         for (pressures, change) in state.pressures.iter_mut().zip(&direction.pressures) {
             for (p, dp) in pressures.iter_mut().zip(change) {
                 *p += factor * dp;
+            }
+        }
+        for (tensions, change) in state.tensions.iter_mut().zip(&direction.tensions) {
+            for (t, dt) in tensions.iter_mut().zip(change) {
+                *t += factor * dt;
             }
         }
         state.gas += factor * direction.gas;

@@ -66,6 +66,7 @@ pub struct System {
     cap_residual: [f64; COORDINATES],
     cap_right: [f64; COORDINATES],
     misfit: f64,
+    slack: f64,
     volume: f64,
     /// Solutions for the right-hand side and the border, of the last factorisation.
     solved: Vec<f64>,
@@ -129,6 +130,7 @@ impl System {
             cap_residual: [0.0; COORDINATES],
             cap_right: [0.0; COORDINATES],
             misfit: 0.0,
+            slack: 0.0,
             volume: 0.0,
             solved: vec![0.0; size * (BORDER + 1)],
             negative: 0,

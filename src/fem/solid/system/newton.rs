@@ -12,6 +12,8 @@ use crate::fem::sparse::SparseError;
 pub(in crate::fem::solid) const FORCE_TOLERANCE: f64 = 1e-9;
 /// Largest misfit of an element's volume, relative to that volume.
 const VOLUME_TOLERANCE: f64 = 1e-9;
+/// Largest difference of a thread's tension from what its stretch says.
+const TENSION_TOLERANCE: f64 = 1e-8;
 /// How far a state may be, in units of the body's length, from the one whose tangent is taken for its own.
 pub(in crate::fem::solid) const NEAR: f64 = 0.05;
 
@@ -71,12 +73,14 @@ impl System {
 
     /// Whether all but the cap is in equilibrium.
     pub(in crate::fem::solid) fn balanced_inside(&self) -> bool {
-        self.residual.iter().all(|r| r.abs() < FORCE_TOLERANCE) && self.misfit < VOLUME_TOLERANCE
+        self.residual.iter().all(|r| r.abs() < FORCE_TOLERANCE)
+            && self.misfit < VOLUME_TOLERANCE
+            && self.slack < TENSION_TOLERANCE
     }
 
     fn balanced(&self, state: &State, control: &Control) -> bool {
         let gas = control.by_pressure * state.gas + control.by_volume * self.volume - control.value;
-        self.imbalance() < FORCE_TOLERANCE && self.misfit < VOLUME_TOLERANCE && gas.abs() < VOLUME_TOLERANCE
+        self.balanced_inside() && self.imbalance() < FORCE_TOLERANCE && gas.abs() < VOLUME_TOLERANCE
     }
 
     /// Newton's iteration from `state` to an equilibrium under `control`. A tangent is used again while it gains a

@@ -45,11 +45,13 @@ fn disturbed(body: Body, whole: bool, seed: u64) -> (System, State, Direction) {
         state.cap[q] = small(&mut rng, if q == TURN { 0.5 } else { 0.02 });
     }
     state.pressures.iter_mut().flatten().for_each(|p| *p = small(&mut rng, 0.2));
+    state.tensions.iter_mut().flatten().for_each(|t| *t = small(&mut rng, 0.2));
     system.body.carry(&mut state);
     system.evaluate(&state, true).unwrap();
     let mut direction = Direction {
         nodes: (0..system.size()).map(|_| small(&mut rng, 1.0)).collect(),
         pressures: Vec::new(),
+        tensions: Vec::new(),
         cap: std::array::from_fn(|q| if held[q] { 0.0 } else { small(&mut rng, 1.0) }),
         gas: small(&mut rng, 1.0),
         volume: 0.0,
@@ -101,6 +103,7 @@ fn the_residual_and_the_volume_slope_are_derivatives() {
     for (case, body) in bodies().into_iter().enumerate() {
         let (mut system, state, mut direction) = disturbed(body, case == 2, 10 + case as u64);
         direction.pressures.iter_mut().flatten().for_each(|p| *p = 0.0);
+        direction.tensions.iter_mut().flatten().for_each(|t| *t = 0.0);
         direction.gas = 0.0;
         let size = system.size();
         let sum = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
