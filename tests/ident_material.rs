@@ -208,8 +208,8 @@ fn the_thick_tube_is_the_closed_form_the_energy_and_lame() {
 #[test]
 fn the_thick_tube_is_the_sections_without_fibres() {
     for (law, share) in [
-        (Law::ogden(MU, 1.2).unwrap(), 0.08),
-        (Law::neo_hookean(MU).unwrap(), 0.08),
+        (Law::ogden(MU, 1.2).unwrap(), 0.05),
+        (Law::neo_hookean(MU).unwrap(), 0.05),
         // The linear section's pressure follows the wall, Lame's does not: they meet at rest.
         (Law::linear(MU).unwrap(), 1e-5),
     ] {
@@ -221,10 +221,12 @@ fn the_thick_tube_is_the_sections_without_fibres() {
             let section = Section::smeared(&tube, 8).unwrap();
             let found = section.solve(share * MU, ends).unwrap();
             let (pressure, stretch) = bare.pressure(&law, found.outer_radius_mean, 1.0).unwrap();
-            // Eight quadratic elements through the wall leave 1e-6 of radius and stretch; the linear law's terms of
-            // second order are of the size of its strain.
-            assert!((pressure / (share * MU) - 1.0).abs() < 1e-4, "{law:?} {axial:?}: {pressure}");
-            assert!((stretch - found.stretch).abs() < 1e-4 * (found.outer_radius_mean / (inner_radius + wall) - 1.0));
+            let growth = found.outer_radius_mean / (inner_radius + wall) - 1.0;
+            // Eight quadratic elements through the wall leave 1e-6 of radius and stretch; the linear law's terms of second
+            // order are some times its strain.
+            let tolerance = if matches!(law, Law::Linear { .. }) { 1e-4 + 10.0 * growth } else { 1e-4 };
+            assert!((pressure / (share * MU) - 1.0).abs() < tolerance, "{law:?} {axial:?}: {pressure}");
+            assert!((stretch - found.stretch).abs() < tolerance * growth, "{law:?} {axial:?}: {stretch}");
         }
     }
 }

@@ -73,7 +73,9 @@ pub fn curve_within(tube: &Tube, pressures: &[f64], ends: Ends, tolerance: f64) 
             return Ok(coarser);
         }
         let finer = Section::new(tube, Mesh::level(2 * level))?;
-        let checked = finer.check(&section, &points, &fields, ends)?;
+        let checked = finer.check(&section, &points, &fields, ends, tolerance / SAFETY)?;
+        // The finer mesh would be refused.
+        let folds = checked.is_none_or(|(pressure, _)| pressure < last(&points)) && !points.iter().any(balloons);
         let curve = Curve {
             error: checked.map(|(_, apart)| (SAFETY * apart).max(LEAST / (level * level) as f64)),
             unchecked: unchecked(&points, checked.map(|(pressure, _)| pressure)),
@@ -81,7 +83,7 @@ pub fn curve_within(tube: &Tube, pressures: &[f64], ends: Ends, tolerance: f64) 
             mesh: section.mesh,
             mesh_dependent,
         };
-        if mesh_dependent || level == FINEST || curve.error.is_none_or(|error| error <= tolerance) {
+        if mesh_dependent || folds || level == FINEST || curve.error.is_none_or(|error| error <= tolerance) {
             return Ok(curve);
         }
         coarser = Some(curve);
@@ -98,43 +100,61 @@ fn folds_earlier(finer: &[Result<Equilibrium, SectionError>], coarser: &[Result<
     })
 }
 
+/// Whether the pressure has a maximum before this point: a finer mesh may have it a little earlier.
+fn balloons(point: &Result<Equilibrium, SectionError>) -> bool {
+    matches!(point, Err(SectionError::BeyondLimit { limit, .. }) if limit.kind == LimitKind::Pressure)
+}
+
+/// Largest magnitude of a pressure that has an equilibrium.
+fn last(points: &[Result<Equilibrium, SectionError>]) -> f64 {
+    points.iter().flatten().map(|e| e.pressure.abs()).fold(0.0, f64::max)
+}
+
 /// `checked`, if there are equilibria beyond it.
 fn unchecked(points: &[Result<Equilibrium, SectionError>], checked: Option<f64>) -> Option<f64> {
-    let last = points.iter().flatten().map(|e| e.pressure.abs()).fold(0.0, f64::max);
     let checked = checked.unwrap_or(0.0);
-    (last > checked).then_some(checked)
+    (last(points) > checked).then_some(checked)
 }
 
 impl Section {
     /// Magnitude of the largest pressure of `points`, of the section `coarser`, at which this finer one has the
-    /// equilibrium, too, and how far the two are apart. Where the last one is not found, halfway to it is tried, and so
-    /// on.
+    /// equilibrium, too, and how far the two are apart. Where the last one is not found, two thirds of the way to it
+    /// are tried, and so on, to where the two are no more than `wanted` apart: near its fold the finer mesh is off,
+    /// too.
     fn check(
         &self,
         coarser: &Section,
         points: &[Result<Equilibrium, SectionError>],
         fields: &[Option<Fields>],
         ends: Ends,
+        wanted: f64,
     ) -> Result<Option<(f64, f64)>, SectionError> {
         let mut stable: Vec<(&Equilibrium, &Fields)> = points
             .iter()
             .zip(fields)
             .filter_map(|(point, fields)| Some((point.as_ref().ok()?, fields.as_ref()?)))
             .collect();
+        // At rest every mesh is exact.
+        stable.retain(|(point, _)| point.pressure != 0.0);
         stable.sort_by(|a, b| a.0.pressure.abs().total_cmp(&b.0.pressure.abs()));
         let mut workspace = Workspace::new(&self.sector);
+        let (mut first, mut complete) = (None, true);
         while let Some((coarse, fields)) = stable.last() {
             let conditions = self.conditions(coarse.pressure, ends)?;
             let start = self.sector.interpolated(&coarser.sector, fields);
-            let found =
-                workspace.solve(&self.sector, start, conditions).filter(|found| found.stable(free(&conditions)));
-            if let Some(solution) = found {
+            let found = workspace.solve(&self.sector, start, conditions);
+            if let Some(solution) = found.filter(|found| found.stable(free(&conditions))) {
                 let fine = self.outcome(&solution);
                 let apart = difference(&self.tube, ends, &[((*coarse).into(), (&fine).into())]);
-                return Ok(Some((coarse.pressure.abs(), apart)));
+                let found = (coarse.pressure.abs(), apart);
+                if complete || apart <= wanted {
+                    return Ok(Some(found));
+                }
+                first = first.or(Some(found));
             }
-            stable.truncate(stable.len() / 2);
+            complete = false;
+            stable.truncate(2 * stable.len() / 3);
         }
-        Ok(None)
+        Ok(first)
     }
 }
