@@ -99,7 +99,8 @@ fn what_is_no_whisk_is_told_with_its_rule() {
 #[test]
 fn what_is_no_module_is_told_with_its_rule() {
     let text = fs::read_to_string("experiments/module/rig.toml").unwrap();
-    let text = text.replace("\"../../calibration\"", &format!("{:?}", Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration")));
+    let text = text
+        .replace("\"../../calibration\"", &format!("{:?}", Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration")));
     let told = |from: &str, to: &str, words: &[&str]| {
         assert!(text.contains(from), "{from}");
         let folder = TempDir::new().unwrap();
@@ -109,7 +110,11 @@ fn what_is_no_module_is_told_with_its_rule() {
         assert!(words.iter().all(|word| error.contains(word)), "{error}");
     };
     told("frees = [\"a\", \"b\", \"c\", \"d\"]", "frees = [\"a\", \"b\", \"c\"]", &["module.frees", "4 FREEs, not 3"]);
-    told("frees = [\"a\", \"b\", \"c\", \"d\"]", "frees = [\"a\", \"b\", \"c\", \"e\"]", &["no FREE `e`", "a, b, c, d"]);
+    told(
+        "frees = [\"a\", \"b\", \"c\", \"d\"]",
+        "frees = [\"a\", \"b\", \"c\", \"e\"]",
+        &["no FREE `e`", "a, b, c, d"],
+    );
     told("frees = [\"a\", \"b\", \"c\", \"d\"]", "frees = [\"a\", \"b\", \"c\", \"a\"]", &["`a` is there twice"]);
     told("spacing_mm = 20 ", "spacing_mm = 11 ", &["module.spacing_mm", "11.12 mm thick"]);
 }
@@ -136,7 +141,8 @@ fn the_module_that_is_the_models_goes_where_the_plan_says_but_for_the_regulators
 
 #[test]
 fn the_sensors_axis_does_not_matter() {
-    let changes = [("scatter_percent = 5 ", "scatter_percent = 0 "), ("address = 0x28", "address = 0x28\naxis = [0, 1, 0]")];
+    let changes =
+        [("scatter_percent = 5 ", "scatter_percent = 0 "), ("address = 0x28", "address = 0x28\naxis = [0, 1, 0]")];
     let (_folder, rig) = rig(&changes);
     let path = TipPath::of(&carry_out(&rig, &circle())).unwrap().unwrap();
     let apart = Apart::between(&path.estimated, &path.truth).unwrap();
@@ -149,6 +155,7 @@ fn orientation_tells_something_of_a_module_that_is_not_the_models() {
     let run = carry_out(&rig, &circle());
     let path = TipPath::of(&run).unwrap().unwrap();
     let estimated = Apart::between(&path.estimated, &path.truth).unwrap();
-    let moved = Apart::between(&path.truth, &vec![Some(nalgebra::Vector3::new(0.0, 0.0, 0.13)); path.truth.len()]).unwrap();
+    let moved =
+        Apart::between(&path.truth, &vec![Some(nalgebra::Vector3::new(0.0, 0.0, 0.13)); path.truth.len()]).unwrap();
     assert!(estimated.rms < 0.5 * moved.rms, "{estimated:?} {moved:?}");
 }
