@@ -30,6 +30,7 @@ pub use tiers::{ask, model_error};
 
 use super::ends::Ends;
 use super::measure::{self, Outcome};
+use super::solid::Station;
 use super::tube::Tube;
 
 /// A tier of the ladder.
@@ -136,6 +137,8 @@ pub struct Answer {
     pub limit: Option<Limit>,
     /// Estimated relative error of the tier's discretisation.
     pub discretisation_error: f64,
+    /// The sections from base to tip at the farthest pressure reached; none where the tier knows no ends.
+    pub profile: Vec<Station>,
 }
 
 /// Relative difference of `points` from `reference`, as [`measure::difference`] has it; infinite where one has an

@@ -5,7 +5,7 @@ use crate::fem::ends::Equilibrium;
 use crate::fem::linear::LinearSection;
 use crate::fem::lumped::LumpedStiffness;
 use crate::fem::section::{SectionError, curve_within};
-use crate::fem::solid::{self, PathEnd, Solid, SolidEquilibrium, Tip};
+use crate::fem::solid::{self, PathEnd, Solid, SolidEquilibrium, Station, Tip};
 use crate::fem::tube::Tube;
 use crate::model::{EquilibriumError, Free, Kinematics, Law, Load, Lumped};
 use crate::units::PASCAL_PER_PSI;
@@ -111,7 +111,13 @@ fn linear(scene: &Scene) -> Result<Answer, FidelityError> {
         let rest = Some(Rest::from(&law.solve(pressure, scene.hold.ends())));
         Point { pressure, rest }
     });
-    Ok(Answer { fidelity: Fidelity::Linear, points: points.collect(), limit: None, discretisation_error: 0.0 })
+    Ok(Answer {
+        fidelity: Fidelity::Linear,
+        points: points.collect(),
+        limit: None,
+        discretisation_error: 0.0,
+        profile: Vec::new(),
+    })
 }
 
 /// Eqs 1-4 at rest without gravity: inextensible fibres, and the springs of the linear section law.
@@ -158,7 +164,7 @@ fn nonlinear(scene: &Scene) -> Result<Answer, FidelityError> {
         Point { pressure, rest: Some(rest) }
     });
     let points = points.collect();
-    Ok(Answer { fidelity: Fidelity::Nonlinear, points, limit, discretisation_error: 0.0 })
+    Ok(Answer { fidelity: Fidelity::Nonlinear, points, limit, discretisation_error: 0.0, profile: Vec::new() })
 }
 
 /// The section on a mesh chosen for the relative error `tolerance`.
@@ -185,15 +191,16 @@ pub(super) fn section(scene: &Scene, tolerance: f64) -> Result<Answer, FidelityE
             }
         }
     }
-    Ok(Answer { fidelity: Fidelity::Section, points, limit, discretisation_error })
+    Ok(Answer { fidelity: Fidelity::Section, points, limit, discretisation_error, profile: Vec::new() })
 }
 
 /// The solid on its usual mesh, its discretisation error estimated against the coarse one.
 fn solid(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Answer, FidelityError> {
-    let (points, limit) = path(scene, &solid::Mesh::sector(&scene.tube), &mut |share| progress(USUAL * share))?;
-    let (other, _) = path(scene, &coarse(&scene.tube), &mut |share| progress(USUAL + (1.0 - USUAL) * share))?;
+    let (points, limit, profile) =
+        path(scene, &solid::Mesh::sector(&scene.tube), &mut |share| progress(USUAL * share))?;
+    let (other, ..) = path(scene, &coarse(&scene.tube), &mut |share| progress(USUAL + (1.0 - USUAL) * share))?;
     let discretisation_error = common_difference(&other, &points, scene);
-    Ok(Answer { fidelity: Fidelity::Solid, points, limit, discretisation_error })
+    Ok(Answer { fidelity: Fidelity::Solid, points, limit, discretisation_error, profile })
 }
 
 /// A mesh that only the ends are looked at with: a quarter of the elements each way, and still small ones at the ends.
@@ -226,9 +233,10 @@ fn path(
     scene: &Scene,
     mesh: &solid::Mesh,
     progress: &mut dyn FnMut(f64),
-) -> Result<(Vec<Point>, Option<Limit>), FidelityError> {
+) -> Result<(Vec<Point>, Option<Limit>, Vec<Station>), FidelityError> {
     let mut solid = Solid::new(&scene.tube, scene.length, mesh, None)?;
     let (mut points, mut limit, mut passed) = (empty(scene), None, 0.0);
+    let (mut profile, mut farthest) = (Vec::new(), 0.0);
     for way in scene.ways().iter().filter(|way| !way.is_empty()) {
         let pressures: Vec<f64> = way.iter().map(|&i| scene.pressures[i]).collect();
         let part = way.len() as f64 / scene.pressures.len() as f64;
@@ -237,6 +245,9 @@ fn path(
         passed += part;
         for (&i, state) in way.iter().zip(&path.states) {
             points[i].rest = Some(rest_of(state, scene.length));
+            if state.pressure.abs() > farthest {
+                (profile, farthest) = (state.profile.clone(), state.pressure.abs());
+            }
         }
         match path.end {
             PathEnd::Reached => {}
@@ -249,7 +260,7 @@ fn path(
             }
         }
     }
-    Ok((points, limit))
+    Ok((points, limit, profile))
 }
 
 fn rest_of(state: &SolidEquilibrium, length: f64) -> Rest {
