@@ -339,6 +339,7 @@ impl Solid {
                 Ok(iterations) => {
                     self.iterations += iterations;
                     self.state = state;
+                    self.before = None;
                     return Ok(());
                 }
                 Err(error) => {
@@ -398,6 +399,7 @@ impl Solid {
             self.system.advance(&mut state, &direction, change);
             self.iterations += self.system.solve(&mut state, &Control::volume(volume), MOST_TANGENTS)?;
             self.state = state;
+            self.before = None;
             self.restore()?;
             let slope = self.system.direction(false, &Control::volume(1.0)).ok_or(singular)?.gas;
             // P is flat here: its error is slope times the distance to the maximum.
