@@ -9,7 +9,7 @@ use freerig::fem::solid::cap::COORDINATES;
 use freerig::fem::solid::element::Rubber;
 use freerig::fem::solid::fiber::Fiber;
 use freerig::fem::solid::system::{Control, System};
-use freerig::fem::solid::{Mesh, Solid, Tip};
+use freerig::fem::solid::{Mesh, PathEnd, Solid, Tip};
 use freerig::fem::tube::Tube;
 use nalgebra::{Matrix3, Vector3};
 
@@ -243,6 +243,87 @@ fn a_thick_bare_tube_is_the_closed_solution_at_mid_length() {
         // A bare tube does not turn.
         assert!(state.rotation.abs() < 1e-9);
     }
+}
+
+#[test]
+fn the_local_bulk_modulus_leaves_the_limit_alone() {
+    // The pressure of the sphere at a given volume, with k from 0 to 2 mu: each mesh halving brings all of them nearer to
+    // the closed solution, and to each other, by more than second order.
+    let (mu, alpha, c) = (1.0, 1.2, 0.8);
+    let exact = integral(1.0, 1.5, |big| {
+        let l = (big.powi(3) + c).cbrt() / big;
+        2.0 * (ogden(mu, alpha, l) - ogden(mu, alpha, 1.0 / (l * l))) / (l * l * l * big)
+    });
+    let errors = |n: usize| {
+        [0.0, 1.0 / 3.0, 2.0 / 3.0, 2.0].map(|k| {
+            let mut body = octant(n, Law::Ogden { mu, alpha });
+            body.rubber.local_bulk = k * mu;
+            let mut system = system(body);
+            let mut state = system.body.rest();
+            for step in [0.5, 1.0] {
+                system.solve(&mut state, &Control::volume(PI / 6.0 * (1.0 + c * step)), 15).unwrap();
+            }
+            state.gas / exact - 1.0
+        })
+    };
+    let (coarse, fine) = (errors(1), errors(2));
+    let spread = |e: [f64; 4]| e.iter().fold(f64::MIN, |m, x| m.max(*x)) - e.iter().fold(f64::MAX, |m, x| m.min(*x));
+    assert!(spread(fine) < 0.25 * spread(coarse), "{coarse:?} {fine:?}");
+    for (a, b) in coarse.iter().zip(fine) {
+        assert!(b.abs() < 0.25 * a.abs() + 1e-4, "{coarse:?} {fine:?}");
+    }
+}
+
+/// Pressure and external axial force of a bare thick tube at the axial stretch `l` and the outer radius `ro`.
+fn bare([ri, outer]: [f64; 2], mu: f64, alpha: f64, l: f64, ro: f64) -> (f64, f64) {
+    let stresses = |big: f64| {
+        let r = (ro * ro - (outer * outer - big * big) / l).sqrt();
+        (r, [big / (r * l), r / big, l].map(|l| ogden(mu, alpha, l)))
+    };
+    let pressure = integral(ri, outer, |big| {
+        let (r, [tr, tt, _]) = stresses(big);
+        (tt - tr) * big / (l * r * r)
+    });
+    let axial = integral(ri, outer, |big| {
+        let (_, [tr, tt, tz]) = stresses(big);
+        PI * (2.0 * tz - tr - tt) * big / l
+    });
+    (pressure, axial)
+}
+
+#[test]
+fn a_thick_bare_tube_passes_the_limit_point_of_the_closed_solution() {
+    let (radii, mu, alpha) = ([4.76e-3, 7.16e-3_f64], 0.393e6, 1.2);
+    // Without axial force, by bisection over the stretch; then the largest pressure over the radius.
+    let pressure = |ro: f64| {
+        let (mut low, mut high) = (0.7, 3.0);
+        while high - low > 1e-10 {
+            let middle = 0.5 * (low + high);
+            let inside = radii[1].powi(2) - (radii[1].powi(2) - radii[0].powi(2)) / middle;
+            let pulls = inside < 0.0 || bare(radii, mu, alpha, middle, ro).1 > 0.0;
+            (low, high) = if pulls { (low, middle) } else { (middle, high) };
+        }
+        bare(radii, mu, alpha, low, ro).0
+    };
+    let exact = (0..40).map(|i| pressure(radii[1] * (1.2 + 0.02 * f64::from(i)))).fold(0.0, f64::max);
+    let tube = Tube {
+        wall: radii[1] - radii[0],
+        fiber_ea: 0.0,
+        fiber_width: 0.0,
+        fibers: 8,
+        law: Law::Ogden { mu, alpha },
+        ..Tube::reference(0.7)
+    };
+    let limit = |length: f64| {
+        let mesh = Mesh { wall: 2, around: 1, first: 2e-3, along_growth: 2.0, largest: 6e-3, ..Mesh::sector(&tube) };
+        let mut solid = Solid::new(&tube, length, &mesh, None).unwrap();
+        let path = solid.follow(&Tip::straight(Ends::FREE), &[2.0 * exact], &mut |_| {}).unwrap();
+        let PathEnd::Limit(limit) = path.end else { panic!("{:?}", path.end) };
+        limit / exact - 1.0
+    };
+    // The bonded ends hold the tube back: with one over its length squared, since it bulges in a half wave.
+    let (short, long) = (limit(0.1), limit(0.2));
+    assert!(short > 0.0 && long > 0.0 && long < 0.5 * short && long < 0.01, "{short} {long}");
 }
 
 #[test]

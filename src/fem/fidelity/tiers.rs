@@ -18,7 +18,7 @@ const SECTION_TOLERANCE: f64 = 5e-3;
 /// Share of the section's limit pressure up to which a coarse solid is asked.
 const SAFE: f64 = 0.9;
 /// Share of the solid's time that its usual mesh takes; the rest is the coarse one's.
-const USUAL: f64 = 0.85;
+const USUAL: f64 = 0.9;
 
 impl Scene {
     /// Checks what no tier can do without.
@@ -217,7 +217,7 @@ fn ends(tube: &Tube) -> solid::Mesh {
     }
 }
 
-/// Half as many elements through the wall and round the sector.
+/// Half as many elements each way.
 fn coarse(tube: &Tube) -> solid::Mesh {
     let usual = solid::Mesh::sector(tube);
     solid::Mesh {
@@ -225,6 +225,9 @@ fn coarse(tube: &Tube) -> solid::Mesh {
         wall_growth: usual.wall_growth * usual.wall_growth,
         around: usual.around.div_ceil(2),
         around_growth: usual.around_growth * usual.around_growth,
+        first: 2.0 * usual.first,
+        along_growth: usual.along_growth * usual.along_growth,
+        largest: 2.0 * usual.largest,
         ..usual
     }
 }

@@ -1,5 +1,12 @@
 //! What a solid answers, in SI units.
 
+use nalgebra::Vector3;
+
+use super::cap::{AXIAL, COORDINATES, LATERAL, TILT, TURN};
+use super::mesh::Part;
+use super::path::Solid;
+use super::system::Control;
+
 /// One cross-section along the tube.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Station {
@@ -83,4 +90,87 @@ pub struct SolidPath {
     pub end: PathEnd,
     /// Newton iterations in all.
     pub iterations: usize,
+}
+
+impl Solid {
+    /// The last equilibrium in SI units.
+    pub(super) fn answer(&self) -> SolidEquilibrium {
+        let body = &self.system.body;
+        let (radius, cap) = (self.radius, &self.state.cap);
+        let profile: Vec<Station> = (self.planes.iter().zip(self.outer.iter().zip(&self.fiber)))
+            .map(|(&z, (nodes, &fiber))| {
+                let mut middle = Vector3::zeros();
+                for &(n, weight) in nodes {
+                    middle += self.state.positions[n] * weight;
+                }
+                if self.part == Part::Sector {
+                    // Its positions are polar components.
+                    (middle.x, middle.y) = (0.0, 0.0);
+                }
+                let (mut turn, mut mean) = (cap[TURN] * z / body.length, 0.0);
+                for &(n, weight) in nodes {
+                    let (rest, here) = (&body.reference[n], self.state.positions[n] - middle);
+                    mean += weight * here.x.hypot(here.y);
+                    turn += weight * (rest.x * here.y - rest.y * here.x).atan2(rest.x * here.x + rest.y * here.y);
+                }
+                let at_fiber = self.state.positions[fiber] - middle;
+                Station {
+                    reference: z * radius,
+                    position: middle.z * radius,
+                    turn,
+                    outer_radius_mean: mean * radius,
+                    outer_radius_at_fiber: at_fiber.x.hypot(at_fiber.y) * radius,
+                }
+            })
+            .collect();
+        // Slope of the quadratic interpolation in the middle, the mean of both sides.
+        let m = profile.len() / 2;
+        let step = profile[m + 2].reference - profile[m].reference;
+        let slope = |of: fn(&Station) -> f64| {
+            let at = |k: usize| of(&profile[k]);
+            (4.0 * (at(m + 1) - at(m - 1)) - (at(m + 2) - at(m - 2))) / (2.0 * step)
+        };
+        let (force, moment) = self.units();
+        let held: [f64; COORDINATES] = std::array::from_fn(|q| -(self.system.cap_residual()[q] + self.system_load(q)));
+        let (sine, cosine) = cap[TURN].sin_cos();
+        let space = |[x, y]: [f64; 2]| [cosine * x - sine * y, sine * x + cosine * y];
+        let of = |v: &[f64; COORDINATES], [x, y]: [usize; 2], unit: f64| space([v[x] * unit, v[y] * unit]);
+        let compliance = self.system.direction(false, &Control::pressure(1.0)).map_or(f64::NAN, |d| d.volume);
+        let cubic = radius.powi(3) * self.copies;
+        SolidEquilibrium {
+            pressure: self.state.gas * self.modulus,
+            rotation: cap[TURN],
+            stretch: 1.0 + cap[AXIAL] / body.length,
+            middle_twist: slope(|s| s.turn),
+            middle_stretch: slope(|s| s.position),
+            middle_radius: profile[m].outer_radius_mean,
+            middle_radius_at_fiber: profile[m].outer_radius_at_fiber,
+            lateral: of(cap, LATERAL, radius),
+            tilt: of(cap, TILT, 1.0),
+            force: held[AXIAL] * force,
+            moment: held[TURN] * moment,
+            lateral_force: of(&held, LATERAL, force),
+            bending_moment: of(&held, TILT, moment),
+            volume: self.system.volume() * cubic,
+            compliance: compliance * cubic / self.modulus,
+            negative_pivots: body.pressures() + self.system.negative(),
+            expected_negative_pivots: body.pressures(),
+            profile,
+        }
+    }
+
+    /// The external load along coordinate `q` of the cap, in the frame of the tip.
+    fn system_load(&self, q: usize) -> f64 {
+        let loads = &self.system.loads;
+        let (sine, cosine) = self.state.cap[TURN].sin_cos();
+        for [x, y] in [LATERAL, TILT] {
+            if q == x {
+                return cosine * loads[x] + sine * loads[y];
+            }
+            if q == y {
+                return cosine * loads[y] - sine * loads[x];
+            }
+        }
+        loads[q]
+    }
 }

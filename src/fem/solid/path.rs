@@ -1,15 +1,16 @@
 //! A finite tube under pressure and loads: adaptive steps, arc length, limit points.
 
 use nalgebra::Vector3;
-use thiserror::Error;
 
-use super::answer::{PathEnd, SolidEquilibrium, SolidPath, Station};
+use super::answer::{PathEnd, SolidEquilibrium, SolidPath};
 use super::body::{State, Support};
 use super::cap::{AXIAL, COORDINATES, Coordinates, LATERAL, TILT, TURN, Tilt};
-use super::mesh::{self, Mesh, MeshError, Part};
+use super::error::SolidError;
+use super::mesh::{self, Mesh, Part};
 use super::system::{Control, Direction, System, SystemError};
-use crate::fem::ends::{End, Ends};
-use crate::fem::tube::{Tube, TubeError};
+use super::tip::Tip;
+use crate::fem::ends::End;
+use crate::fem::tube::Tube;
 
 /// Most tangents of one step.
 const MOST_TANGENTS: usize = 12;
@@ -17,63 +18,6 @@ const MOST_TANGENTS: usize = 12;
 const SMALLEST: f64 = 1.0 / 64.0;
 /// Largest step in pressure that is tried, in units of the shear modulus: about 4 psi for the reference FREE.
 const LARGEST_STEP: f64 = 0.072;
-
-/// What a solid refuses, or cannot do.
-#[derive(Clone, Copy, Debug, Error, PartialEq)]
-pub enum SolidError {
-    /// The tube.
-    #[error(transparent)]
-    Tube(#[from] TubeError),
-    /// The mesh.
-    #[error(transparent)]
-    Mesh(#[from] MeshError),
-    /// The system.
-    #[error(transparent)]
-    System(#[from] SystemError),
-    /// Bulk modulus out of range.
-    #[error("bulk over shear modulus {0}: must be between 10 and 1e9 (leave it out for an incompressible rubber)")]
-    Bulk(f64),
-    /// Bending asked of a sector.
-    #[error("lateral loads on a sector with cyclic symmetry, which cannot bend: mesh the whole circumference")]
-    Lateral,
-    /// Tubes of a module that overlap at rest.
-    #[error("spacing {spacing} m of the tubes' centres: must be at least their outer diameter, {least} m, and finite")]
-    Spacing {
-        /// Centre to centre, m.
-        spacing: f64,
-        /// Outer diameter, m.
-        least: f64,
-    },
-    /// A number that is not finite.
-    #[error("{what} {value}: must be finite")]
-    NotFinite {
-        /// What it is.
-        what: &'static str,
-        /// Its value.
-        value: f64,
-    },
-}
-
-/// What holds the tip, or pulls at it. SI units.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tip {
-    /// Stretch and twist: mean over the length where held, force and moment where loaded.
-    pub ends: Ends,
-    /// In x and y: a force fixed in space, N, or a displacement, m.
-    pub lateral: [End; 2],
-    /// About x and y: a moment, N m, conjugate to the cap's rotation vector, or a tilt, rad.
-    pub tilt: [End; 2],
-}
-
-impl Tip {
-    /// Held straight, and by `ends` along and about z.
-    pub fn straight(ends: Ends) -> Tip {
-        Tip { ends, lateral: [End::Held(0.0); 2], tilt: [End::Held(0.0); 2] }
-    }
-
-    /// All six directions free.
-    pub const FREE: Tip = Tip { ends: Ends::FREE, lateral: [End::Loaded(0.0); 2], tilt: [End::Loaded(0.0); 2] };
-}
 
 /// What a step goes to, in the body's units.
 #[derive(Clone, Copy)]
@@ -85,15 +29,15 @@ struct Target {
 
 /// A finite tube, meshed, at its last equilibrium.
 pub struct Solid {
-    system: System,
-    planes: Vec<f64>,
-    outer: Vec<Vec<(usize, f64)>>,
-    fiber: Vec<usize>,
-    copies: f64,
-    part: Part,
-    radius: f64,
-    modulus: f64,
-    state: State,
+    pub(super) system: System,
+    pub(super) planes: Vec<f64>,
+    pub(super) outer: Vec<Vec<(usize, f64)>>,
+    pub(super) fiber: Vec<usize>,
+    pub(super) copies: f64,
+    pub(super) part: Part,
+    pub(super) radius: f64,
+    pub(super) modulus: f64,
+    pub(super) state: State,
     /// The equilibrium before the last one, under the same tip.
     before: Option<State>,
     iterations: usize,
@@ -249,7 +193,7 @@ impl Solid {
     }
 
     /// Units of force and moment of the body.
-    fn units(&self) -> (f64, f64) {
+    pub(super) fn units(&self) -> (f64, f64) {
         let force = self.modulus * self.radius * self.radius * self.copies;
         (force, force * self.radius)
     }
@@ -395,6 +339,7 @@ impl Solid {
                 Ok(iterations) => {
                     self.iterations += iterations;
                     self.state = state;
+                    self.before = None;
                     return Ok(());
                 }
                 Err(error) => {
@@ -454,6 +399,7 @@ impl Solid {
             self.system.advance(&mut state, &direction, change);
             self.iterations += self.system.solve(&mut state, &Control::volume(volume), MOST_TANGENTS)?;
             self.state = state;
+            self.before = None;
             self.restore()?;
             let slope = self.system.direction(false, &Control::volume(1.0)).ok_or(singular)?.gas;
             // P is flat here: its error is slope times the distance to the maximum.
@@ -470,86 +416,5 @@ impl Solid {
             }
         }
         Ok(self.state.gas * self.modulus)
-    }
-
-    /// The last equilibrium in SI units.
-    fn answer(&self) -> SolidEquilibrium {
-        let body = &self.system.body;
-        let (radius, cap) = (self.radius, &self.state.cap);
-        let profile: Vec<Station> = (self.planes.iter().zip(self.outer.iter().zip(&self.fiber)))
-            .map(|(&z, (nodes, &fiber))| {
-                let mut middle = Vector3::zeros();
-                for &(n, weight) in nodes {
-                    middle += self.state.positions[n] * weight;
-                }
-                if self.part == Part::Sector {
-                    // Its positions are polar components.
-                    (middle.x, middle.y) = (0.0, 0.0);
-                }
-                let (mut turn, mut mean) = (cap[TURN] * z / body.length, 0.0);
-                for &(n, weight) in nodes {
-                    let (rest, here) = (&body.reference[n], self.state.positions[n] - middle);
-                    mean += weight * here.x.hypot(here.y);
-                    turn += weight * (rest.x * here.y - rest.y * here.x).atan2(rest.x * here.x + rest.y * here.y);
-                }
-                let at_fiber = self.state.positions[fiber] - middle;
-                Station {
-                    reference: z * radius,
-                    position: middle.z * radius,
-                    turn,
-                    outer_radius_mean: mean * radius,
-                    outer_radius_at_fiber: at_fiber.x.hypot(at_fiber.y) * radius,
-                }
-            })
-            .collect();
-        // Slope of the quadratic interpolation in the middle, the mean of both sides.
-        let m = profile.len() / 2;
-        let step = profile[m + 2].reference - profile[m].reference;
-        let slope = |of: fn(&Station) -> f64| {
-            let at = |k: usize| of(&profile[k]);
-            (4.0 * (at(m + 1) - at(m - 1)) - (at(m + 2) - at(m - 2))) / (2.0 * step)
-        };
-        let (force, moment) = self.units();
-        let held: [f64; COORDINATES] = std::array::from_fn(|q| -(self.system.cap_residual()[q] + self.system_load(q)));
-        let (sine, cosine) = cap[TURN].sin_cos();
-        let space = |[x, y]: [f64; 2]| [cosine * x - sine * y, sine * x + cosine * y];
-        let of = |v: &[f64; COORDINATES], [x, y]: [usize; 2], unit: f64| space([v[x] * unit, v[y] * unit]);
-        let compliance = self.system.direction(false, &Control::pressure(1.0)).map_or(f64::NAN, |d| d.volume);
-        let cubic = radius.powi(3) * self.copies;
-        SolidEquilibrium {
-            pressure: self.state.gas * self.modulus,
-            rotation: cap[TURN],
-            stretch: 1.0 + cap[AXIAL] / body.length,
-            middle_twist: slope(|s| s.turn),
-            middle_stretch: slope(|s| s.position),
-            middle_radius: profile[m].outer_radius_mean,
-            middle_radius_at_fiber: profile[m].outer_radius_at_fiber,
-            lateral: of(cap, LATERAL, radius),
-            tilt: of(cap, TILT, 1.0),
-            force: held[AXIAL] * force,
-            moment: held[TURN] * moment,
-            lateral_force: of(&held, LATERAL, force),
-            bending_moment: of(&held, TILT, moment),
-            volume: self.system.volume() * cubic,
-            compliance: compliance * cubic / self.modulus,
-            negative_pivots: body.pressures() + self.system.negative(),
-            expected_negative_pivots: body.pressures(),
-            profile,
-        }
-    }
-
-    /// The external load along coordinate `q` of the cap, in the frame of the tip.
-    fn system_load(&self, q: usize) -> f64 {
-        let loads = &self.system.loads;
-        let (sine, cosine) = self.state.cap[TURN].sin_cos();
-        for [x, y] in [LATERAL, TILT] {
-            if q == x {
-                return cosine * loads[x] + sine * loads[y];
-            }
-            if q == y {
-                return cosine * loads[y] - sine * loads[x];
-            }
-        }
-        loads[q]
     }
 }
