@@ -202,6 +202,7 @@ pub fn cases(rig: &Rig) -> Vec<Case> {
             .provoked(|s| regulator_is(s, Misbehaviour::Silent))
             .within(|rig| interlocks::STALE_PERIODS * regulator(rig), regulator),
         Case::new(F::PressureNotFollowing, "the FREE bursts", Vent, press)
+            .on(turns_far)
             .provoked(|s| s.inject(PlantFault::Leak(0, 0.01)))
             .from(|s| {
                 let free = &s.rig.control.frees[0];
