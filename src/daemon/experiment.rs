@@ -22,6 +22,8 @@ use crate::trajectory::{Axis, Program, Segment, Sequence, Shape};
 
 /// Beyond the ramp and vent times, how long a fault's reaction is recorded.
 const AFTERMATH: Duration = Duration::from_secs(3);
+/// Records of a batch, at least: its cost hardly depends on what is in it, and a slow loop often has a slow processor.
+const FEWEST: u32 = 25;
 /// After the way back to zero pressure, how long the FREEs are given to come to rest, s.
 const REST: f64 = 1.0;
 
@@ -190,7 +192,8 @@ fn once<B: Bench>(
     cycles: &mut Counter,
     watch: &mut dyn FnMut(&Progress<'_>),
 ) -> Result<Run, DaemonError> {
-    let options = RecordOptions { truth: rig.is_simulated(), live: job.live.clone(), ..RecordOptions::default() };
+    let mut options = RecordOptions { truth: rig.is_simulated(), live: job.live.clone(), ..RecordOptions::default() };
+    options.batch = options.batch.max(FEWEST * rig.control.period);
     let quota = Quota { most: rig.record.most, free: rig.record.free };
     for removed in quota.make_room(&rig.record.directory)? {
         tracing::info!(run = removed, "removed, the oldest: the runs take more than [record] runs_mib allows");
