@@ -89,8 +89,8 @@ pub(super) fn end_effects(scene: &Scene, section: &Answer) -> Result<f64, Fideli
     let whole = Scene { pressures, ..scene.clone() };
     let half = Scene { length: 0.5 * scene.length, ..whole.clone() };
     let mesh = ends(&scene.tube);
-    let (points, _) = path(&whole, &mesh, &mut |_| {})?;
-    let (shorter, _) = path(&half, &mesh, &mut |_| {})?;
+    let (points, ..) = path(&whole, &mesh, &mut |_| {})?;
+    let (shorter, ..) = path(&half, &mesh, &mut |_| {})?;
     Ok(common_difference(&shorter, &points, &whole))
 }
 
