@@ -10,7 +10,7 @@ use freerig::plan::{Limits, Rest, Target, inverse, workspace};
 use freerig::units::PASCAL_PER_PSI as PSI;
 use nalgebra::Vector3;
 
-#[path = "../tests/plan/mod.rs"]
+#[path = "../tests/plan/harness.rs"]
 mod plan;
 
 fn rest(module: &Module) -> Rest<'_> {

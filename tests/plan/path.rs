@@ -1,13 +1,11 @@
 //! Sequences of targets and of pressures.
 
-mod plan;
-
+use crate::harness::{LENGTH, module};
 use freerig::fem::module::{Loads, Path};
 use freerig::plan::path::{follow, forecast};
 use freerig::plan::{Bound, End, Limits, PlanError, Rest, Target};
 use freerig::units::PASCAL_PER_PSI as PSI;
 use nalgebra::Vector3;
-use plan::{LENGTH, module};
 
 /// From rest's axis sideways and back in 2 s, at 50 Hz.
 fn sideways(z: f64, far: f64) -> (Vec<f64>, Vec<Target>) {

@@ -1,13 +1,11 @@
 //! Pressures for a target: the inverse of the forward model, within every limit, with the redundancy on the margin.
 
-mod plan;
-
+use crate::harness::{LENGTH, module};
 use freerig::fem::module::{Loads, Module, ModuleError};
 use freerig::fem::rod::Resolution;
 use freerig::plan::{Limits, PlanError, Rest, Shortfall, Target, inverse};
 use freerig::units::PASCAL_PER_PSI as PSI;
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
-use plan::{LENGTH, module};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 

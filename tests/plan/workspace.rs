@@ -1,15 +1,11 @@
 //! The paper's cases, and what can be reached at all.
 
-mod plan;
-#[path = "plan/section.rs"]
-mod section;
-
+use crate::harness::module;
 use freerig::fem::module::{Loads, Module};
 use freerig::fem::rod::Resolution;
 use freerig::plan::workspace::{CasePath, against_paper, cases, reach};
 use freerig::plan::{End, Limits, Rest};
 use freerig::units::PASCAL_PER_PSI as PSI;
-use plan::module;
 
 fn rest(module: &Module) -> Rest<'_> {
     Rest::new(module, &Loads::pressures([0.0; 4])).unwrap()
@@ -84,7 +80,7 @@ fn a_path_that_ends_says_where_and_why() {
 
 #[test]
 fn the_papers_figures_stand_beside_ours() {
-    let [m30, m60] = [30.0, 60.0].map(|gamma| section::module(gamma, Resolution::DEFAULT));
+    let [m30, m60] = [30.0, 60.0].map(|gamma| crate::section::module(gamma, Resolution::DEFAULT));
     let (rest30, rest60) = (rest(&m30), rest(&m60));
     let [thirty, sixty] = [&rest30, &rest60].map(|rest| cases(rest, 7.0 * PSI, 50).unwrap());
     let table = against_paper((&rest30, &thirty), (&rest60, &sixty));

@@ -1,16 +1,12 @@
 //! Whisks: the paper's pattern, its counterexample, and eights of one's own choice.
 
-mod plan;
-#[path = "plan/section.rs"]
-mod section;
-
+use crate::harness::module;
 use freerig::fem::module::{Loads, Module};
 use freerig::fem::rod::Resolution;
 use freerig::plan::whisk::{Eight, Order, Pattern, Scaled, eight, pattern};
 use freerig::plan::{Bound, Limits, PlanError, Rest};
 use freerig::units::PASCAL_PER_PSI as PSI;
 use nalgebra::Vector3;
-use plan::module;
 
 fn rest(module: &Module) -> Rest<'_> {
     Rest::new(module, &Loads::pressures([0.0; 4])).unwrap()
@@ -44,7 +40,7 @@ fn crossing_the_square_draws_an_eight_and_round_it_a_circle() {
 #[test]
 fn with_the_sections_law_an_independent_rod_model_draws_the_same() {
     // Strains of degree 6: the turn of more than a radian takes more than what is enough for bending.
-    let m = section::module(60.0, Resolution::DEFAULT.refined());
+    let m = crate::section::module(60.0, Resolution::DEFAULT.refined());
     let rest = rest(&m);
     let limits = Limits::up_to(10.0 * PSI);
     let [(crossing, off), (round, _)] = [Order::Crossing, Order::Round].map(|order| {

@@ -1,0 +1,7 @@
+//! `freerig calibrate`, as a user runs it.
+
+mod all;
+mod by_hand;
+mod material;
+mod regulator;
+mod stiffness;
