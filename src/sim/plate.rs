@@ -308,7 +308,7 @@ mod tests {
     use super::*;
     use crate::fem::linear::LinearSection;
     use crate::fem::module::{Mount, square};
-    use crate::fem::rod::{Law, Quadratic, Resolution, Rod, Straight};
+    use crate::fem::rod::{Law, Profile, Resolution, Rod, Straight};
     use crate::fem::tube::Tube;
     use crate::units::PASCAL_PER_PSI as PSI;
 
@@ -319,9 +319,9 @@ mod tests {
         let mounts = square(0.02).into_iter().enumerate().map(|(i, base)| {
             let law = Law {
                 straight: Straight::closed_form(&section),
-                bending: Quadratic::constant(450e-6),
-                shear: Quadratic::constant(1e4),
-                coupling: Quadratic::constant(0.0),
+                bending: Profile::constant(450e-6),
+                shear: Profile::constant(1e4),
+                coupling: Profile::constant(0.0),
                 mirrored: i % 2 == 1,
             };
             Mount { base, rod: Rod { outer_radius: 5.56e-3, ..Rod::straight(0.13, law) } }
