@@ -60,7 +60,7 @@ fn the_demo_runs_reports_and_writes_only_runs() {
     assert!(comparisons[1]["rms_ratio"].as_f64().unwrap() >= 5.0, "{}", comparisons[1]["rms_ratio"]);
     assert!(folder.path().join(demo["calibration"]["report"].as_str().unwrap()).is_file());
     let calibration = fs::read(folder.path().join("calibration/paper.toml")).unwrap();
-    assert_eq!(calibration, include_bytes!("../calibration/paper.toml"), "the demo leaves the calibration as it is");
+    assert_eq!(calibration, include_bytes!("../../calibration/paper.toml"), "the demo leaves the calibration as it is");
     assert!(folder.path().join(demo["report"].as_str().unwrap()).is_file());
     assert_eq!(names(folder.path()), ["calibration", "rig.toml", "runs"]);
     assert!(names(&folder.path().join("runs")).iter().all(|name| !name.starts_with('.')), "nothing is left behind");

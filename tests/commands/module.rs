@@ -78,7 +78,7 @@ fn apart(a: [f64; 3], b: [f64; 3]) -> f64 {
 fn the_plate_is_where_the_reference_has_it() {
     let folder = place();
     // gamma, case, P, x, y, z, qw, qx, qy, qz, force.
-    let reference: Vec<Vec<f64>> = (include_str!("reference/module.csv").lines().skip(1))
+    let reference: Vec<Vec<f64>> = (include_str!("../reference/module.csv").lines().skip(1))
         .map(|line| line.split(',').take(10).map(|cell| cell.parse().unwrap()).collect())
         .collect();
     for gamma in [30.0, 60.0] {

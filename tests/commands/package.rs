@@ -3,10 +3,10 @@
 use std::path::Path;
 use std::process::Command;
 
-const EXAMPLE: &str = include_str!("../rig.toml");
-const INSTALLED: &str = include_str!("../systemd/rig.toml");
-const UNIT: &str = include_str!("../systemd/freerig.service");
-const MANIFEST: &str = include_str!("../Cargo.toml");
+const EXAMPLE: &str = include_str!("../../rig.toml");
+const INSTALLED: &str = include_str!("../../systemd/rig.toml");
+const UNIT: &str = include_str!("../../systemd/freerig.service");
+const MANIFEST: &str = include_str!("../../Cargo.toml");
 
 #[test]
 fn the_installed_rig_is_the_example_with_the_services_places() {

@@ -4,7 +4,7 @@ use freerig::config::calibration::SCHEMA;
 use freerig::config::gains::PRESETS;
 use freerig::control::{MATRIX, Reaction};
 
-const README: &str = include_str!("../README.md");
+const README: &str = include_str!("../../README.md");
 
 #[track_caller]
 fn contains(table: &str) {

@@ -60,7 +60,7 @@ fn made() -> &'static Made {
                       move_s = 1.5\nhold_s = 1.5\n";
         let own = one(&format!("{course}note = \"own gains\""));
         let published = one(&format!("{course}gains = \"published-step\""));
-        let sweep = one(include_str!("../experiments/sweep.toml"));
+        let sweep = one(include_str!("../../experiments/sweep.toml"));
         let steps = "kind = \"step\"\nname = \"three steps\"\nangles_deg = [50, 20, 80]\nmove_s = 0\nhold_s = 3\nrepeat = 3";
         let repeated = stepped(&rig, steps, |_, _| {});
         let fault = stepped(&rig, course, |regulator, t| {
