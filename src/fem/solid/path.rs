@@ -400,7 +400,6 @@ impl Solid {
             self.iterations += self.system.solve(&mut state, &Control::volume(volume), MOST_TANGENTS)?;
             self.state = state;
             self.before = None;
-            self.restore()?;
             let slope = self.system.direction(false, &Control::volume(1.0)).ok_or(singular)?.gas;
             // P is flat here: its error is slope times the distance to the maximum.
             let close = (slope * (b.0 - a.0)).abs() < 1e-7 * self.state.gas || (b.0 - a.0).abs() < 1e-9 * rest;

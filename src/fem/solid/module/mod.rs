@@ -21,7 +21,7 @@ use super::SolidError;
 use super::body::State;
 use super::cap::{AXIAL, COORDINATES, Coordinates, LATERAL};
 use super::mesh::{self, Mesh, Part};
-use super::system::{Dead, Direction, FORCE_TOLERANCE, NEAR, Pace, System, SystemError};
+use super::system::{Dead, Direction, FORCE_TOLERANCE, Pace, SAME, System, SystemError};
 use crate::fem::module::{Wrench, square};
 use crate::fem::sparse::SparseError;
 use crate::fem::tube::Tube;
@@ -340,7 +340,10 @@ impl SolidModule {
             }
             let again = pace.again(last);
             let balanced = residual < FORCE_TOLERANCE && self.tubes.iter().all(|t| t.system.balanced_inside());
-            if last < 1e-3 && pace.moved < NEAR && balanced {
+            if last < SAME && balanced {
+                if pace.moved > SAME {
+                    self.linearise()?;
+                }
                 return Ok(iterations);
             }
             if again {

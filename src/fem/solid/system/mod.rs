@@ -26,7 +26,7 @@ use crate::fem::sparse::{HELD, SparseError, Symmetric, dissect};
 pub use direction::Direction;
 pub(super) use loads::Dead;
 pub use newton::{Control, SystemError};
-pub(super) use newton::{FORCE_TOLERANCE, NEAR, Pace};
+pub(super) use newton::{FORCE_TOLERANCE, Pace, SAME};
 
 /// Bulk modulus over shear modulus that stands for an incompressible rubber in the tangent.
 pub const STIFF: f64 = 1e5;

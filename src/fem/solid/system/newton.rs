@@ -14,8 +14,10 @@ pub(in crate::fem::solid) const FORCE_TOLERANCE: f64 = 1e-9;
 const VOLUME_TOLERANCE: f64 = 1e-9;
 /// Largest difference of a thread's tension from what its stretch says.
 const TENSION_TOLERANCE: f64 = 1e-8;
-/// How far a state may be, in units of the body's length, from the one whose tangent is taken for its own.
-pub(in crate::fem::solid) const NEAR: f64 = 0.05;
+/// How far a state may be, in units of the body's length, from the one whose tangent still corrects it.
+const NEAR: f64 = 0.05;
+/// How far it may be from the one whose inertia is taken for its own.
+pub(in crate::fem::solid) const SAME: f64 = 1e-3;
 
 /// Why a Newton iteration has not ended in an equilibrium.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
@@ -84,7 +86,7 @@ impl System {
     }
 
     /// Newton's iteration from `state` to an equilibrium under `control`. A tangent is used again while it gains a
-    /// digit at a time. On success the last factorisation is that of a state within [`NEAR`], and the number of
+    /// digit at a time. On success the last factorisation is that of a state within [`SAME`], and the number of
     /// corrections is returned.
     pub fn solve(&mut self, state: &mut State, control: &Control, most: usize) -> Result<usize, SystemError> {
         self.body.carry(state);
@@ -106,7 +108,11 @@ impl System {
                 return Err(SystemError::Diverged { iterations, residual });
             }
             let again = pace.again(last);
-            if last < 1e-3 && pace.moved < NEAR && self.balanced(state, control) {
+            if last < SAME && self.balanced(state, control) {
+                if pace.moved > SAME {
+                    self.evaluate(state, true)?;
+                    self.factorize()?;
+                }
                 return Ok(iterations);
             }
             if again {
