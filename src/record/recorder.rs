@@ -359,10 +359,10 @@ mod tests {
         }
         let run = recorder.finish(StopDocument::default()).unwrap();
         let stop = Run::open(&run.folder).unwrap().stop().unwrap().clone();
-        let seen: Vec<_> = stop.faults.iter().map(|f| (f.name.as_str(), f.t_s)).collect();
-        assert_eq!(seen, [("pressure_stale", 0.504), ("bus_lost", 1.4)]);
+        let seen: Vec<_> = stop.faults.iter().map(|f| (f.name.as_str(), f.tick)).collect();
+        assert_eq!(seen, [("pressure_stale", 252), ("bus_lost", 700)]);
         let (first, second): (Vec<_>, Vec<_>) = stop.around.iter().partition(|moment| moment.t_s < 1.0);
-        for (moments, fault) in [(first, 0.504), (second, 1.4)] {
+        for (moments, fault) in [(first, stop.faults[0].t_s), (second, stop.faults[1].t_s)] {
             let times: Vec<_> = moments.iter().map(|m| m.t_s).collect();
             assert!(times.contains(&fault) && times.windows(2).all(|w| w[1] > w[0]), "{times:?}");
             assert!(times[0] <= fault - 0.09 && times[times.len() - 1] >= fault + 0.09, "{times:?}");
