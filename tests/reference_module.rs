@@ -51,7 +51,9 @@ fn rest(module: &Module) -> State {
 }
 
 /// A row of module.csv: (degrees, pressures, position m, rotation).
-fn rows() -> Vec<(f64, [f64; 4], Vector3<f64>, UnitQuaternion<f64>)> {
+type Row = (f64, [f64; 4], Vector3<f64>, UnitQuaternion<f64>);
+
+fn rows() -> Vec<Row> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/reference/module.csv");
     let row = |line: &str| {
         let v: Vec<f64> = line.split(',').take(10).map(|x| x.parse().unwrap()).collect();
@@ -193,13 +195,20 @@ fn answers_say_pose_resultants_stability_clearance_errors_and_limits() {
     scene.plate_mass = 0.005;
     scene.gravity = Vector3::new(0.0, 0.0, 9.81);
     let module = build(&scene, Resolution::DEFAULT);
-    let rows = [case(4, 3.0), case(1, 8.5), case(1, 12.0)];
-    let [bent, buckled, beyond] = &answer(&scene, &module, &rows)[..] else { panic!() };
+    let rows = [case(4, 3.0), case(1, 8.5), case(1, 12.0), case(3, 6.0)];
+    let [bent, buckled, beyond, soft] = &answer(&scene, &module, &rows)[..] else { panic!() };
     let Answer { pose: Some(pose), limit: None, .. } = bent else { panic!("{bent:?}") };
     let sum: Vector3<f64> = pose.on_plate.iter().map(|w| w.force).sum();
     assert!((sum + Vector3::z() * 0.005 * 9.81).norm() < 1e-6, "{sum}");
     assert!(pose.negative_pivots == 0 && pose.least_clearance.unwrap().1 > 8e-3);
     assert!(pose.discretisation_error > 0.0 && pose.discretisation_error < 1e-4 * LENGTH);
+    // What is told of the error is the error, and more, where the module is soft and the resolution counts.
+    let exact = module.with_resolution(Resolution { degree: 9, steps: 20 }).unwrap();
+    let exact = exact.equilibrium(&scene.loads(case(3, 6.0))).unwrap().position();
+    let soft = soft.pose.as_ref().unwrap();
+    let off = (soft.position - exact).norm();
+    assert!(off < soft.discretisation_error && soft.discretisation_error < 0.01 * LENGTH, "{off} {soft:?}");
+    assert!(off < 1e-3 * LENGTH, "{off}");
     // Past the buckling load the straight branch is told, with the share at which it lost its stability.
     let limit = buckled.limit.as_ref().unwrap();
     assert_eq!(

@@ -9,7 +9,8 @@
 //! | [`solid`] | finite tube with its ends, mixed hexahedra | any finite strain; end effects, bending, buckling |
 //! | [`rod`], [`module`] | geometrically exact rods under a rigid plate | any bend, payload, buckling |
 //!
-//! [`fidelity`] asks any of them the same question, and chooses the cheapest that a scene needs.
+//! [`fidelity`] asks any of them the same question, and chooses the cheapest that a scene needs. A rod's law is
+//! tabulated from the section by [`section_law`].
 //!
 //! [`lumped`] are the springs that they give the lumped model.
 //!

@@ -23,7 +23,8 @@ pub struct Pose {
     pub negative_pivots: i32,
     /// Least distance between the surfaces of two FREEs (from 0) and which, m.
     pub least_clearance: Option<([usize; 2], f64)>,
-    /// Estimated error of the position that the rods' resolution makes, m.
+    /// Estimated error of the position that the rods' resolution makes, m: that of the resolution below the one answered.
+    /// Infinite where it is not known.
     pub discretisation_error: f64,
 }
 
@@ -67,8 +68,9 @@ impl std::fmt::Display for Limit {
     }
 }
 
-/// The rods' answers to `rows` of gauge pressures (Pa), each followed from rest with the scene's other loads growing alongside.
-/// `module` is that of `scene`. What has no equilibrium is answered by the limit that it lies beyond.
+/// The rods' answers to `rows` of gauge pressures (Pa), each followed from rest with the scene's other loads growing
+/// alongside. `module` is that of `scene`; its resolution is what the error is estimated with, and a finer one's poses are
+/// what is answered. What has no equilibrium is answered by the limit that it lies beyond.
 pub fn answer(scene: &ModuleScene, module: &Module, rows: &[[f64; 4]]) -> Vec<Answer> {
     rows.par_iter().map(|row| one(scene, module, *row)).collect()
 }
@@ -76,8 +78,18 @@ pub fn answer(scene: &ModuleScene, module: &Module, rows: &[[f64; 4]]) -> Vec<An
 fn one(scene: &ModuleScene, module: &Module, pressures: [f64; 4]) -> Answer {
     let loads = scene.loads(pressures);
     let found = module.equilibrium(&loads);
-    let pose = found.as_ref().ok().and_then(|state| pose(module, state));
-    let limit = fault(&found).map(|reason| first(module, &loads, reason));
+    let mut reason = fault(&found);
+    let pose = found.ok().and_then(|state| match module.refined(&state) {
+        Ok((fine, finer)) => {
+            let error = (finer.position() - state.position()).norm();
+            let pose = pose(&fine, &finer, error);
+            reason = reason.take().or_else(|| fault(&Ok(finer)));
+            pose
+        }
+        // Where finer rods have no such equilibrium, nothing is known of the error.
+        Err(_) => pose(module, &state, f64::INFINITY),
+    });
+    let limit = reason.map(|reason| first(module, &loads, reason));
     Answer { pressures, pose, limit }
 }
 
@@ -119,19 +131,17 @@ fn first(module: &Module, loads: &Loads, reason: Reason) -> Limit {
     limit
 }
 
-fn pose(module: &Module, state: &State) -> Option<Pose> {
+fn pose(module: &Module, state: &State, discretisation_error: f64) -> Option<Pose> {
     let mut on_plate = [Wrench { force: Vector3::zeros(), moment: Vector3::zeros() }; 4];
     for (index, wrench) in on_plate.iter_mut().enumerate() {
         *wrench = state.on_plate(module, index)?;
     }
-    // Where the finer rods have no such equilibrium, nothing is known of the error.
-    let error = module.discretisation_error(state).unwrap_or(f64::INFINITY);
     Some(Pose {
         position: state.position(),
         rotation: state.rotation(),
         on_plate,
         negative_pivots: state.negative_pivots(),
         least_clearance: state.least_clearance(),
-        discretisation_error: error * module.length(),
+        discretisation_error,
     })
 }

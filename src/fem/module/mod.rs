@@ -20,6 +20,8 @@
 //! least by half from one to the next, which is where Newton's method is that of the branch it started from; longer
 //! ways are cut. Where they become arbitrarily short there is a limit point, and the error says how far it came.
 //! [`Path`] goes around it, by arc length.
+//!
+//! A [`ModuleScene`] is a module as it is built, with FREEs for rods; [`answer()`] is what the rods say of it.
 
 mod answer;
 mod clearance;

@@ -88,9 +88,8 @@ impl Module {
         Solver::new(self).follow(&start.loads, start.unknowns.clone(), loads)
     }
 
-    /// How far the plate's centre is from where a finer resolution puts it, per length: the discretisation error, by
-    /// one solution more.
-    pub fn discretisation_error(&self, state: &State) -> Result<f64, ModuleError> {
+    /// The module with a finer resolution, and its equilibrium at `state`.
+    pub fn refined(&self, state: &State) -> Result<(Module, State), ModuleError> {
         let fine = self.with_resolution(self.resolution.refined())?;
         let mut unknowns = state.unknowns.clone();
         for (strains, _) in &mut unknowns.rods {
@@ -101,6 +100,13 @@ impl Module {
         let finer = Solver::new(&fine)
             .follow(&state.loads, unknowns, &state.loads)
             .or_else(|_| fine.equilibrium(&state.loads))?;
+        Ok((fine, finer))
+    }
+
+    /// How far the plate's centre is from where a finer resolution puts it, per length: the discretisation error, by
+    /// one solution more.
+    pub fn discretisation_error(&self, state: &State) -> Result<f64, ModuleError> {
+        let (_, finer) = self.refined(state)?;
         Ok((finer.position() - state.position()).norm() / self.length())
     }
 }

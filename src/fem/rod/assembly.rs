@@ -145,7 +145,7 @@ impl Assembly {
     /// The law's part: energy, dU/dq, d2U/dq2, d2U/dq dP.
     fn constitutive(&mut self, rod: &Rod, basis: &Basis, pressure: f64, q: &[f64]) -> Result<(), RodError> {
         let Rod { length, ref law, rest_curvature, .. } = *rod;
-        let isobar = law.at(pressure)?;
+        let mut isobar = law.at(pressure)?;
         let modes = basis.modes;
         let weight = length / (2 * basis.steps) as f64;
         let ([ei, ga, c], [ei_p, ga_p, c_p]) = (isobar.lateral, isobar.lateral_slope);

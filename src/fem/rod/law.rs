@@ -13,7 +13,7 @@ use std::sync::Arc;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use thiserror::Error;
 
-use super::table::Table;
+use super::table::{Slice, Table};
 use crate::fem::linear::LinearSection;
 
 /// Where a law refuses to answer.
@@ -112,10 +112,12 @@ pub struct Law {
 }
 
 /// A law at one pressure.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Isobar<'a> {
     law: &'a Law,
     pressure: f64,
+    /// Of a table.
+    slice: Option<Slice<'a>>,
     /// EI, GA, C.
     pub lateral: [f64; 3],
     /// Their derivatives by pressure.
@@ -166,6 +168,18 @@ impl Profile {
             value = coefficient + (p - node) * value;
         }
         (value, slope)
+    }
+}
+
+impl Jet {
+    /// That of the mirror image, whose twist is the opposite.
+    fn mirrored(mut self) -> Jet {
+        self.gradient.y = -self.gradient.y;
+        for other in [0, 2] {
+            self.hessian[(1, other)] = -self.hessian[(1, other)];
+            self.hessian[(other, 1)] = -self.hessian[(other, 1)];
+        }
+        self
     }
 }
 
@@ -221,13 +235,7 @@ impl Law {
         if !self.mirrored {
             return self.straight.jet(stretch, twist, pressure);
         }
-        let mut jet = self.straight.jet(stretch, -twist, pressure)?;
-        jet.gradient.y = -jet.gradient.y;
-        for other in [0, 2] {
-            jet.hessian[(1, other)] = -jet.hessian[(1, other)];
-            jet.hessian[(other, 1)] = -jet.hessian[(other, 1)];
-        }
-        Ok(jet)
+        Ok(self.straight.jet(stretch, -twist, pressure)?.mirrored())
     }
 
     /// The law at `pressure` Pa, or what is wrong with it there.
@@ -239,9 +247,14 @@ impl Law {
             return Err(LawError::Bending { pressure, bending, shear, coupling });
         }
         let slope = [self.bending, self.shear, self.coupling].map(|q| q.slope(pressure));
+        let slice = match &self.straight {
+            Straight::Linear { .. } => None,
+            Straight::Table(table) => Some(table.at(pressure)),
+        };
         Ok(Isobar {
             law: self,
             pressure,
+            slice,
             lateral: [bending, shear, coupling],
             lateral_slope: [slope[0], slope[1], hand * slope[2]],
         })
@@ -249,8 +262,12 @@ impl Law {
 }
 
 impl Isobar<'_> {
-    pub fn jet(&self, stretch: f64, twist: f64) -> Result<Jet, LawError> {
-        self.law.jet(stretch, twist, self.pressure)
+    pub fn jet(&mut self, stretch: f64, twist: f64) -> Result<Jet, LawError> {
+        match &mut self.slice {
+            None => self.law.jet(stretch, twist, self.pressure),
+            Some(slice) if self.law.mirrored => Ok(slice.jet(stretch, -twist)?.mirrored()),
+            Some(slice) => slice.jet(stretch, twist),
+        }
     }
 }
 

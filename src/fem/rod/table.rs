@@ -82,6 +82,21 @@ pub struct Table {
     accepted: Vec<bool>,
 }
 
+/// By edge of a cell along the pressure, order of the pressure's derivative, and `3 a + b`.
+type Lines = [[[f64; 9]; 3]; 4];
+
+/// A table at one pressure. The states along a rod mostly share a cell: its sums over the pressure, which are most of
+/// the work, are kept from one to the next.
+#[derive(Clone, Debug)]
+pub(crate) struct Slice<'a> {
+    table: &'a Table,
+    pressure: f64,
+    /// The cell along the pressure and its polynomials there; none outside.
+    layer: Option<(usize, [[f64; 6]; 3])>,
+    /// The valid cell (stretch, twist) last looked into.
+    kept: Option<([usize; 2], Lines)>,
+}
+
 /// How far a table is from its law, over the points where both answer.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TableDeviation {
@@ -231,53 +246,13 @@ impl Table {
 
     /// The potential at (stretch, twist rad/m, pressure Pa).
     pub fn jet(&self, stretch: f64, twist: f64, pressure: f64) -> Result<Jet, LawError> {
-        let outside = LawError::OutsideTable { stretch, twist, pressure };
-        let x = self.grid.skewed([stretch, twist, pressure]);
-        let mut cell = [0; 3];
-        let mut weights = [[[0.0; 6]; 3]; 3];
-        for d in 0..3 {
-            let (at, place) = self.axes[d].cell(x[d]).ok_or(outside)?;
-            cell[d] = at;
-            weights[d] = quintic(place);
-        }
-        if !self.valid(cell) {
-            return Err(outside);
-        }
-        // Sums over pressure, then twist, then stretch; the index of each sum is the order of the derivative.
-        let mut sums = [[[0.0; 3]; 3]; 3];
-        for ci in 0..2 {
-            for a in 0..3 {
-                let mut plane = [[0.0; 3]; 3];
-                for cj in 0..2 {
-                    for b in 0..3 {
-                        let mut line = [0.0; 3];
-                        for ck in 0..2 {
-                            let corner = &self.corners[self.grid.index([cell[0] + ci, cell[1] + cj, cell[2] + ck])];
-                            for c in 0..3 {
-                                let value = corner[9 * a + 3 * b + c];
-                                for (sum, w) in line.iter_mut().zip(&weights[2]) {
-                                    *sum += w[3 * ck + c] * value;
-                                }
-                            }
-                        }
-                        for (row, w) in plane.iter_mut().zip(&weights[1]) {
-                            for (sum, value) in row.iter_mut().zip(line) {
-                                *sum += w[3 * cj + b] * value;
-                            }
-                        }
-                    }
-                }
-                for (block, w) in sums.iter_mut().zip(&weights[0]) {
-                    for (row, from) in block.iter_mut().zip(plane) {
-                        for (sum, value) in row.iter_mut().zip(from) {
-                            *sum += w[3 * ci + a] * value;
-                        }
-                    }
-                }
-            }
-        }
-        let inverse = self.axes.map(|a| 1.0 / a.spacing());
-        Ok(jet(|a, b, c| sums[a][b][c], inverse).skewed(self.grid.skew.map(|s| -s)))
+        self.at(pressure).jet(stretch, twist)
+    }
+
+    /// The table at `pressure` Pa.
+    pub(crate) fn at(&self, pressure: f64) -> Slice<'_> {
+        let layer = self.axes[2].cell(pressure).map(|(cell, place)| (cell, quintic(place)));
+        Slice { table: self, pressure, layer, kept: None }
     }
 
     /// The share of the grid's cells in which the table answers, 0 to 1.
@@ -303,6 +278,22 @@ impl Table {
     fn cells(&self) -> impl Iterator<Item = [usize; 3]> + use<> {
         let [n, m, l] = self.axes.map(|a| a.points - 1);
         (0..n * m * l).map(move |c| [c / (m * l), c / l % m, c % l])
+    }
+
+    /// The sums over the pressure along the four edges of a cell, see [`Slice`].
+    fn lines(&self, cell: [usize; 3], weights: &[[f64; 6]; 3]) -> Lines {
+        let mut lines = Lines::default();
+        for (edge, line) in lines.iter_mut().enumerate() {
+            for ck in 0..2 {
+                let corner = &self.corners[self.grid.index([cell[0] + edge / 2, cell[1] + edge % 2, cell[2] + ck])];
+                for (order, w) in line.iter_mut().zip(weights) {
+                    for (sum, c) in order.iter_mut().zip(corner.chunks_exact(3)) {
+                        *sum += w[3 * ck] * c[0] + w[3 * ck + 1] * c[1] + w[3 * ck + 2] * c[2];
+                    }
+                }
+            }
+        }
+        lines
     }
 
     fn valid(&self, cell: [usize; 3]) -> bool {
@@ -363,6 +354,54 @@ impl Table {
                 self.corners[point][place(target)] = sum;
             }
         }
+    }
+}
+
+impl Slice<'_> {
+    /// The potential at (stretch, twist rad/m).
+    pub fn jet(&mut self, stretch: f64, twist: f64) -> Result<Jet, LawError> {
+        let Slice { table, pressure, .. } = *self;
+        let outside = LawError::OutsideTable { stretch, twist, pressure };
+        let (layer, by_pressure) = self.layer.as_ref().ok_or(outside)?;
+        let x = table.grid.skewed([stretch, twist, pressure]);
+        let (i, place) = table.axes[0].cell(x[0]).ok_or(outside)?;
+        let by_stretch = quintic(place);
+        let (j, place) = table.axes[1].cell(x[1]).ok_or(outside)?;
+        let by_twist = quintic(place);
+        let lines = match &mut self.kept {
+            Some((at, lines)) if *at == [i, j] => lines,
+            kept => {
+                if !table.valid([i, j, *layer]) {
+                    return Err(outside);
+                }
+                &mut kept.insert(([i, j], table.lines([i, j, *layer], by_pressure))).1
+            }
+        };
+        // Sums over twist, then stretch, as far as second derivatives need them; by order of the derivatives.
+        let mut sums = [[[0.0; 3]; 3]; 3];
+        for ci in 0..2 {
+            for a in 0..3 {
+                let mut plane = [[0.0; 3]; 3];
+                for cj in 0..2 {
+                    for b in 0..3 {
+                        for (z, line) in lines[2 * ci + cj].iter().enumerate() {
+                            for y in 0..3 - z {
+                                plane[y][z] += by_twist[y][3 * cj + b] * line[3 * a + b];
+                            }
+                        }
+                    }
+                }
+                for (x, w) in by_stretch.iter().enumerate() {
+                    for y in 0..3 - x {
+                        for z in 0..3 - x - y {
+                            sums[x][y][z] += w[3 * ci + a] * plane[y][z];
+                        }
+                    }
+                }
+            }
+        }
+        let inverse = table.axes.map(|a| 1.0 / a.spacing());
+        Ok(jet(|a, b, c| sums[a][b][c], inverse).skewed(table.grid.skew.map(|s| -s)))
     }
 }
 

@@ -20,7 +20,7 @@ use crate::fem::rod::{Axis, Grid, Table};
 use crate::fem::section::{Bending, Mesh};
 
 /// To be counted up whenever the same request leads to another law or other bytes.
-const VERSION: u64 = 1;
+const VERSION: u64 = 2;
 const NAME: &[u8; 16] = b"freerig law\0\0\0\0\0";
 /// A SHA-256.
 const HASH: usize = 32;
@@ -177,6 +177,9 @@ impl SectionLaw {
         }
         let [stretch, twist, mesh, bending] = from.numbers()?;
         let states = usize::try_from(from.integer()?).map_err(|_| BytesError::Damaged)?;
+        if !from.0.is_empty() {
+            return Err(BytesError::Damaged);
+        }
         let errors = Errors { stretch, twist, states, mesh, bending };
         Ok(SectionLaw { request, table: Arc::new(table), lateral, errors })
     }

@@ -101,8 +101,8 @@ pub struct Errors {
     pub states: usize,
     /// The mesh's relative error of what a blocked tube does at half of the pressure; infinite where one of the meshes compared folds.
     pub mesh: f64,
-    /// What it means that bending stiffness follows the pressure alone: its relative difference between the free state
-    /// and the one held from turning, at the highest pressure at which it is computed.
+    /// What it means that bending stiffness follows the pressure alone: the largest relative difference between that of
+    /// the free state and that of the tube held from turning, over the pressures at which both have one.
     pub bending: f64,
 }
 
@@ -240,13 +240,16 @@ fn mesh_error(request: &Request, section: &Section) -> Result<f64, SectionLawErr
 
 /// See [`Errors::bending`].
 fn bending_error(section: &Section, lateral: &Lateral) -> Result<f64, SectionLawError> {
-    let (pressure, free) = &lateral[LATERAL - 1];
     let mut state = section.rest()?;
-    let held = match section.reach(&mut state, *pressure, UNTWISTED)? {
-        Some(_) => section.bending(&state)?.pure_bending(),
-        None => f64::INFINITY,
-    };
-    Ok((held / free.pure_bending() - 1.0).abs())
+    let mut error = 0.0_f64;
+    for (pressure, free) in lateral {
+        if section.reach(&mut state, *pressure, UNTWISTED)?.is_none() {
+            break;
+        }
+        let held = section.bending(&state)?.pure_bending();
+        error = error.max((held / free.pure_bending() - 1.0).abs());
+    }
+    Ok(error)
 }
 
 /// Lateral stiffness of the free state at evenly spaced pressures up to `pressure`, or up to nearly the limit of the free tube: close to it

@@ -94,7 +94,7 @@ impl Row {
     fn probe(&mut self, section: &Section, grid: &Grid, at: [usize; 3], from: &State) -> Result<(), SectionError> {
         let [stretch, twist, pressure] = grid.middle(at);
         let inside = (0..3).all(|d| at[d] + 1 < grid.axes()[d].points);
-        if inside && (at[1] + at[2]) % EVERY == 0 {
+        if inside && (at[1] + at[2]).is_multiple_of(EVERY) {
             let mut state = from.clone();
             if let Some(found) = section.reach(&mut state, pressure, held(stretch, twist))? {
                 self.probes.push(Probe { at: [stretch, twist, pressure], jet: jet(section, &state, &found) });
