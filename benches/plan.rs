@@ -5,7 +5,7 @@ use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use freerig::fem::module::{Loads, Module};
-use freerig::plan::whisk::{Eight, Order, Pattern, eight, pattern};
+use freerig::plan::whisk::{Eight, Pattern, eight, pattern};
 use freerig::plan::{Limits, Rest, Target, inverse, workspace};
 use freerig::units::PASCAL_PER_PSI as PSI;
 use nalgebra::Vector3;
@@ -52,7 +52,7 @@ fn whisks(c: &mut Criterion) {
     let rest = rest(&module);
     let mut group = c.benchmark_group("whisk of 4 s at 100 Hz");
     group.sample_size(10);
-    let gentle = Pattern { highest: 6.0 * PSI, middle: 4.0 * PSI, order: Order::Crossing, ..Pattern::paper() };
+    let gentle = Pattern { highest: 6.0 * PSI, middle: 4.0 * PSI, ..Pattern::paper() };
     let limits = Limits::up_to(10.0 * PSI);
     group.bench_function("pattern", |b| b.iter(|| pattern(&rest, black_box(&gentle), &limits, 100.0).expect("a plan")));
     let asked = Eight::level(Vector3::new(0.0, 0.0, 0.131), 0.010, 0.004, 0.25);

@@ -2,7 +2,8 @@
 
 mod plan;
 
-use freerig::fem::module::{Loads, Module};
+use freerig::fem::module::{Loads, Module, ModuleError};
+use freerig::fem::rod::Resolution;
 use freerig::plan::{Limits, PlanError, Rest, Shortfall, Target, inverse};
 use freerig::units::PASCAL_PER_PSI as PSI;
 use nalgebra::{UnitQuaternion, Vector3, Vector6};
@@ -221,4 +222,56 @@ fn what_is_no_target_is_named() {
     let mut sideways = Target::point(Vector3::new(1e-3, 0.0, -1.0));
     sideways.position_weight.z = 0.0;
     assert!(inverse::cold(&rest, &sideways, &limits).unwrap().shortfall.is_none());
+}
+
+#[test]
+fn what_does_not_count_is_free_and_makes_margin() {
+    let m = module(60.0);
+    let rest = rest(&m);
+    let limits = Limits::up_to(7.0 * PSI);
+    let state = rest.ramp(rest.state(), &[3.0, 1.0, 0.5, 2.0].map(|p| p * PSI)).unwrap();
+    let point = Target::point(state.position());
+    let mut sideways = point;
+    sideways.position_weight.z = 0.0;
+    let [of_point, of_sideways] = [point, sideways].map(|t| inverse::cold(&rest, &t, &limits).unwrap());
+    assert!(of_sideways.shortfall.is_none(), "{:?}", of_sideways.shortfall);
+    let (free, held) = (of_sideways.margin, of_point.margin);
+    // So near rest (0.917) there is little to be had; errors of what is reached are worth some parts in a million.
+    assert!(free.smooth > held.smooth + 1e-4, "{free:?} {held:?} {:?}", of_sideways.pressures);
+    // No other height has more.
+    for by in [-5e-4, -1e-4, 1e-4, 5e-4] {
+        let other = Target::point(of_sideways.state.position() + Vector3::z() * by);
+        let other = inverse::cold(&rest, &other, &limits).unwrap();
+        if other.shortfall.is_none() {
+            assert!(other.margin.smooth < free.smooth + 1e-4, "{by} {:?} {free:?}", other.margin);
+        }
+    }
+    let off = of_sideways.state.position() - state.position();
+    assert!(off.xy().norm() <= REACHED && off.z.abs() > 1e-4, "{off}");
+    // A turn alone, wherever the plate is.
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, 0.6));
+    let mut twist = Target::pose(Vector3::zeros(), turn, 0.05);
+    twist.position_weight = Vector3::zeros();
+    let found = inverse::cold(&rest, &twist, &limits).unwrap();
+    assert!(found.shortfall.is_none() && found.state.rotation().angle_to(&turn) < 2.0 * REACHED / 0.05);
+}
+
+#[test]
+fn a_payload_is_part_of_the_rest_that_margins_are_measured_against() {
+    let light = module(60.0);
+    let plate = |mass: f64| Module::new(light.mounts().to_vec(), mass, Resolution::DEFAULT).unwrap();
+    let gravity = |g: f64| Loads { gravity: Vector3::new(0.0, 0.0, g), ..Loads::pressures([0.0; 4]) };
+    let hanging = plate(0.05);
+    let rest = Rest::new(&hanging, &gravity(9.81)).unwrap();
+    assert!((rest.margin(rest.state()).least() - 1.0).abs() < 1e-9);
+    let want = rest.ramp(rest.state(), &[2.0, 1.0, 0.0, 1.5].map(|p| p * PSI)).unwrap();
+    assert!(want.loads().gravity.z == 9.81);
+    let found = inverse::cold(&rest, &Target::point(want.position()), &Limits::up_to(7.0 * PSI)).unwrap();
+    assert!(found.shortfall.is_none() && found.state.loads().gravity.z == 9.81);
+    // Standing under a weight far beyond Euler's there is no rest.
+    let heavy = plate(2.0);
+    let refused = Rest::new(&heavy, &gravity(-9.81)).unwrap_err();
+    assert!(matches!(refused, PlanError::Rest(_) | PlanError::Module(ModuleError::Ends { .. })), "{refused}");
+    let single = Module::new(light.mounts()[..1].to_vec(), 0.0, Resolution::DEFAULT).unwrap();
+    assert_eq!(Rest::new(&single, &gravity(0.0)).unwrap_err(), PlanError::Rods(1));
 }

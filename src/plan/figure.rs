@@ -1,10 +1,10 @@
-//! The figure that a closed tip path draws on the plane of x and y.
+//! The figure that a closed tip path draws on a plane.
 
-use nalgebra::{Matrix2, SymmetricEigen, UnitQuaternion, Vector2};
+use nalgebra::{Matrix2, SymmetricEigen, UnitQuaternion, Vector2, Vector3};
 
 use super::Pose;
 
-/// Size and kind of a closed figure.
+/// Size and kind of a closed figure, in the coordinates of its plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Figure {
     /// Middle of its extents, m.
@@ -22,12 +22,13 @@ pub struct Figure {
 }
 
 impl Figure {
-    /// Of one period of `poses`; none of fewer than three.
-    pub fn of(poses: &[Pose]) -> Option<Figure> {
+    /// Of one period of `poses` on the plane of two unit vectors at a right angle; none of fewer than three.
+    pub fn of(poses: &[Pose], plane: [Vector3<f64>; 2]) -> Option<Figure> {
         if poses.len() < 3 {
             return None;
         }
-        let points: Vec<Vector2<f64>> = poses.iter().map(|p| Vector2::new(p.position[0], p.position[1])).collect();
+        let on = |p: &Pose| Vector2::from(plane.map(|way| way.dot(&Vector3::from(p.position))));
+        let points: Vec<Vector2<f64>> = poses.iter().map(on).collect();
         let mean = points.iter().sum::<Vector2<f64>>() / points.len() as f64;
         let spread: Matrix2<f64> = points.iter().map(|p| (p - mean) * (p - mean).transpose()).sum();
         let eigen = SymmetricEigen::new(spread);
@@ -59,7 +60,7 @@ pub(super) fn twist(pose: &Pose) -> f64 {
 pub(super) fn tilt(pose: &Pose) -> f64 {
     let [w, x, y, z] = pose.rotation;
     let turn = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
-    (turn * nalgebra::Vector3::z()).z.clamp(-1.0, 1.0).acos()
+    (turn * Vector3::z()).z.clamp(-1.0, 1.0).acos()
 }
 
 #[cfg(test)]
@@ -72,7 +73,7 @@ mod tests {
             let (x, y) = curve(TAU * f64::from(k) / 400.0);
             Pose { position: [x, y, 0.1], rotation: [1.0, 0.0, 0.0, 0.0] }
         });
-        Figure::of(&poses.collect::<Vec<_>>()).unwrap()
+        Figure::of(&poses.collect::<Vec<_>>(), [Vector3::x(), Vector3::y()]).unwrap()
     }
 
     #[test]
@@ -89,7 +90,7 @@ mod tests {
         let circle = drawn(|u| (2.0 * u.cos(), -2.0 * u.sin()));
         // A polygon of 400 sides.
         assert!((circle.area / (4.0 * PI) + 1.0).abs() < 1e-4);
-        assert_eq!(Figure::of(&[]), None);
+        assert_eq!(Figure::of(&[], [Vector3::x(), Vector3::y()]), None);
     }
 
     #[test]

@@ -99,6 +99,11 @@ pub(super) struct Window {
 }
 
 impl Window {
+    /// Pressure `i` cannot move.
+    pub fn fixed(&self, i: usize) -> bool {
+        self.low[i] == self.high[i]
+    }
+
     /// Which bounds hold `pressures`.
     pub fn active(&self, pressures: &[f64; 4]) -> [Option<Bound>; FREES] {
         std::array::from_fn(|i| {

@@ -12,6 +12,8 @@
 //! smooth function, never above either. (Shares of K against K0 in every direction would say nothing of stability:
 //! a rod that bends loses most of its stiffness along its chord, which is far from the softest.)
 //!
+//! The end of a law's domain has no such measure: it is met and named, not foreseen.
+//!
 //! **Redundancy.** A point takes three of the four pressures' freedoms (to first order the fourth turns the plate). It
 //! goes to the largest smooth margin among the pressures that put the plate on the target.
 
@@ -19,12 +21,14 @@ pub mod design;
 pub mod end;
 mod error;
 mod figure;
+mod freedom;
 pub mod inverse;
 mod limits;
 mod margin;
 pub mod path;
 mod quadratic;
 mod rest;
+mod search;
 mod target;
 pub mod whisk;
 pub mod workspace;

@@ -24,6 +24,9 @@ const HALVINGS: usize = 10;
 /// Fall-backs, by a hundredth each, where the full sampling sees more than the coarse one.
 const FALLBACKS: usize = 5;
 
+/// The plane of a pattern's figure.
+const LEVEL: [Vector3<f64>; 2] = [Vector3::new(1.0, 0.0, 0.0), Vector3::new(0.0, 1.0, 0.0)];
+
 /// The order in which the waveform reaches the FREEs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
@@ -74,11 +77,13 @@ pub struct WhiskPlan {
     pub period: f64,
     /// What was asked for, as far as it goes.
     pub plan: PathPlan,
-    /// What the predicted tip draws; none where the plan is not valid to its end.
+    /// What the predicted tip draws, on the plane of x and y or of the eight; none where the plan is not valid to its
+    /// end.
     pub figure: Option<Figure>,
     /// How far apart its last and first samples are: plate, m, and pressures, Pa.
     pub closure: Option<(f64, f64)>,
-    /// The stable plan offered instead, where the one asked for ends, falls short of its targets or of the margin.
+    /// The stable plan offered instead, where the one asked for ends, falls short of its targets or of the margin; none
+    /// where not even the centre of an eight is reached.
     pub instead: Option<Instead>,
 }
 
@@ -193,13 +198,13 @@ pub fn pattern(rest: &Rest<'_>, pattern: &Pattern, limits: &Limits, rate: f64) -
             let (mut plan, states) = at(&times, scale)?;
             if good(&plan) {
                 plan.facts.discretisation = estimate(rest, &states);
-                let figure = drawn(&plan);
+                let figure = drawn(&plan, LEVEL);
                 instead = Some(Instead { scaled, scale, plan, figure });
                 break;
             }
         }
     }
-    Ok(WhiskPlan { period: pattern.period, figure: drawn(&plan), closure: closure(&plan), plan, instead })
+    Ok(WhiskPlan { period: pattern.period, figure: drawn(&plan, LEVEL), closure: closure(&plan), plan, instead })
 }
 
 impl Eight {
@@ -208,11 +213,17 @@ impl Eight {
         Eight { centre, width, height, across: Vector3::x_axis(), up: Vector3::y_axis(), frequency }
     }
 
+    /// Across and up.
+    fn plane(&self) -> [Vector3<f64>; 2] {
+        [self.across.into_inner(), self.up.into_inner()]
+    }
+
     /// The target at `t` s of the eight scaled about its centre.
     fn at(&self, t: f64, scale: f64) -> Target {
         let u = TAU * self.frequency * t;
         let (x, y) = (0.5 * self.width * u.sin(), 0.5 * self.height * (2.0 * u).sin());
-        Target::point(self.centre + (self.across.into_inner() * x + self.up.into_inner() * y) * scale)
+        let [across, up] = self.plane();
+        Target::point(self.centre + (across * x + up * y) * scale)
     }
 
     fn check(&self) -> Result<(), PlanError> {
@@ -255,13 +266,13 @@ pub fn eight(rest: &Rest<'_>, eight: &Eight, limits: &Limits, rate: f64) -> Resu
             let scale = scale * (1.0 - 0.01 * k as f64);
             let plan = run(&times, scale)?;
             if plan.facts.missed == 0 {
-                let figure = drawn(&plan);
+                let figure = drawn(&plan, eight.plane());
                 instead = Some(Instead { scaled: Scaled::Size, scale, plan, figure });
                 break;
             }
         }
     }
-    Ok(WhiskPlan { period, figure: drawn(&plan), closure: closure(&plan), plan, instead })
+    Ok(WhiskPlan { period, figure: drawn(&plan, eight.plane()), closure: closure(&plan), plan, instead })
 }
 
 /// The largest scale from 0 to 1 that is good, given that none larger than a bad one is.
@@ -277,9 +288,9 @@ fn largest(good: impl Fn(f64) -> Result<bool, PlanError>) -> Result<f64, PlanErr
     Ok(low)
 }
 
-fn drawn(plan: &PathPlan) -> Option<Figure> {
+fn drawn(plan: &PathPlan, plane: [Vector3<f64>; 2]) -> Option<Figure> {
     // The last sample is the first one again.
-    plan.valid().then(|| Figure::of(&plan.predicted[..plan.predicted.len() - 1])).flatten()
+    plan.valid().then(|| Figure::of(&plan.predicted[..plan.predicted.len() - 1], plane)).flatten()
 }
 
 fn closure(plan: &PathPlan) -> Option<(f64, f64)> {
