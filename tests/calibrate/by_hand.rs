@@ -169,7 +169,7 @@ fn the_relaxation_of_an_overdamped_free_is_found_through_its_friction() {
 }
 
 #[test]
-fn added_inertias_give_the_damping_and_inertia_of_a_free_that_rings_too_fast() {
+fn added_inertias_give_the_damping_of_a_free_that_rings_too_fast() {
     let folder = place("published-code");
     // Without friction: with it, the FREE's own inertia, a fourteenth of what is added, cannot be told.
     edit(&folder.path().join("rig.toml"), "hysteresis_percent = 5", "hysteresis_percent = 0");
@@ -186,9 +186,16 @@ fn added_inertias_give_the_damping_and_inertia_of_a_free_that_rings_too_fast() {
     let output = json(&calibrate(&["--script", "answers.toml"]));
     let truth = truth(&rig(folder.path()));
     covers(found(&output["values"], "torsional_damping_nms_per_rad"), truth.torsional_damping);
-    covers(found(&output["values"], "end_inertia_kg_m2"), truth.inertia);
     covers(found(&output["values"], "torsional_stiffness_nm_per_rad"), truth.torsional_stiffness);
-    assert!(output["remarks"].to_string().contains("beyond the sensor"));
+    let remarks = output["remarks"].to_string();
+    assert!(remarks.contains("beyond the sensor"));
+    // The FREE's own inertia is at the edge of what can be told, an uncertainty of 30 %: it is told, and right, or said
+    // not to be.
+    let inertia = output["values"].as_array().unwrap().iter().any(|v| v["key"] == "end_inertia_kg_m2");
+    match inertia {
+        true => covers(found(&output["values"], "end_inertia_kg_m2"), truth.inertia),
+        false => assert!(remarks.contains("to tell the FREE's own"), "{remarks}"),
+    }
 }
 
 #[test]

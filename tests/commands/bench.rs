@@ -22,7 +22,9 @@ fn bench(suite: &str, count: &str) -> (Vec<Value>, tempfile::TempDir) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let answer: Value = serde_json::from_slice(&output.stdout).expect("stdout is one JSON object");
     let rows = answer["rows"].as_array().unwrap().clone();
-    assert!(rows.iter().all(|r| r["suite"] == suite && r["time_s"].as_f64().unwrap() >= 0.0), "{rows:?}");
+    // What was timed in another row has no time of its own.
+    let timed = |r: &Value| r["time_s"].as_f64().is_none_or(|t| t >= 0.0);
+    assert!(rows.iter().all(|r| r["suite"] == suite && timed(r)), "{rows:?}");
     let csv = std::fs::read_to_string(folder.path().join(format!("runs/bench-{suite}.csv"))).unwrap();
     assert_eq!(csv.lines().next(), Some("suite,method,case,relative_error,time_s,failed"));
     assert_eq!(csv.lines().count(), rows.len() + 1);
@@ -58,7 +60,7 @@ fn the_integrators_reach_the_reference_solutions() {
 
 #[test]
 fn the_tiers_of_the_finite_elements_stand_in_their_order() {
-    let (rows, _) = bench("fem", "10");
+    let (rows, _) = bench("fem", "2");
     for case in ["free, 40 deg", "free, 60 deg", "blocked, 40 deg"] {
         let case = format!("{case}, 1 to 4 psi");
         let of = |method: &str| error(&rows, method, &case);
@@ -72,7 +74,6 @@ fn the_tiers_of_the_finite_elements_stand_in_their_order() {
     // physics: end effects of 1 to 3 % at 40 deg; at mid-length there are none.
     let solid = |case: &str| error(&rows, "solid", &format!("free, 40 deg, 1 to 4 psi, from the section: {case}"));
     assert!(solid("at mid-length") < solid("ends included") && solid("ends included") < 0.05);
-    // Two geometries of a count of ten.
     for ends in ["free", "blocked"] {
         assert!(error(&rows, "section, level 1", &format!("2 geometries, {ends}, worst")) < 2e-2);
     }
