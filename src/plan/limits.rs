@@ -72,8 +72,8 @@ impl Limits {
     /// bounds moves towards them as fast as it may.
     pub(super) fn around(&self, start: &[f64; 4], reach: f64) -> Window {
         let mut window = Window { low: self.low, high: self.high, bounds: [[Bound::Low, Bound::High]; FREES] };
-        for i in 0..FREES {
-            let (slowest, fastest) = (start[i] - reach, start[i] + reach);
+        for (i, start) in start.iter().enumerate() {
+            let (slowest, fastest) = (start - reach, start + reach);
             if slowest > window.low[i] {
                 (window.low[i], window.bounds[i][0]) = (slowest, Bound::SlewDown);
             }

@@ -88,8 +88,8 @@ impl PathPlan {
         let least = self.margins.iter().zip(&self.times).min_by(|a, b| a.0.least().total_cmp(&b.0.least()));
         self.facts.least_margin = least.map(|(margin, t)| (margin.least(), *t));
         for (t, p) in self.times.windows(2).zip(self.pressures.windows(2)) {
-            for i in 0..4 {
-                self.facts.fastest = self.facts.fastest.max((p[1][i] - p[0][i]).abs() / (t[1] - t[0]));
+            for (before, after) in p[0].iter().zip(&p[1]) {
+                self.facts.fastest = self.facts.fastest.max((after - before).abs() / (t[1] - t[0]));
             }
         }
     }

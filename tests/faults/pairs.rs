@@ -167,7 +167,8 @@ fn a_rig_that_finds_something_wrong_at_its_start_does_not_leave_boot() {
 
 #[test]
 fn every_device_is_unplugged_and_plugged_in_again_while_nothing_is_armed() {
-    let plugs: [(fn(&Stage), fn(&Stage)); 3] = [
+    type Plug = (fn(&Stage), fn(&Stage));
+    let plugs: [Plug; 3] = [
         (|s| s.imu().always(Misbehaviour::Silent), |s| s.imu().stop()),
         (|s| s.regulator(0).always(Misbehaviour::Silent), |s| s.regulator(0).stop()),
         (|s| s.line().lock().unwrap().plug(false), |s| s.line().lock().unwrap().plug(true)),

@@ -39,10 +39,15 @@ const SHORT: f64 = 1e-4;
 /// What a tier says at some pressures, in their order; none where one of them is beyond a limit.
 type Answer = Option<Vec<Outcome>>;
 
+/// How a tier answers.
+type Ask = dyn Fn(&Scene) -> Result<Answer, Failure> + Sync;
+/// Error and time of every tier, in their order.
+type Told = Vec<(Option<f64>, f64)>;
+
 /// A tier: what the table calls it, and how it answers.
 struct Tier {
     name: String,
-    answer: Box<dyn Fn(&Scene) -> Result<Answer, Failure> + Sync>,
+    answer: Box<Ask>,
 }
 
 /// Runs the named cases, then the geometries.
@@ -226,8 +231,8 @@ fn seeded(
     let tiers = tiers();
     for hold in [Hold::Free, Hold::Blocked] {
         let ends = if hold == Hold::Free { "free" } else { "blocked" };
-        // Error and time of every tier, in their order; none where the reference has a limit.
-        let one = |seed| -> Result<Option<Vec<(Option<f64>, f64)>>, Failure> {
+        // None where the reference has a limit.
+        let one = |seed| -> Result<Option<Told>, Failure> {
             let tube = Tube::seeded(seed);
             let top = tube.moderate_pressure();
             let scene = Scene { tube, length: LENGTH, hold, pressures: vec![0.5 * top, top] };

@@ -122,13 +122,9 @@ impl Report {
 
     fn text(&self, target: &Target) -> String {
         let mut pressures = Table::new(&["FREE", ">psi", "at its bound"]);
-        for i in 0..NAMES.len() {
-            let bound = self.active_bounds[i].unwrap_or_default();
-            pressures.row([
-                NAMES[i].to_owned(),
-                number(Some(self.pressures_pa[i] / PASCAL_PER_PSI), 3),
-                bound.to_owned(),
-            ]);
+        for ((name, bound), pressure) in NAMES.iter().zip(self.active_bounds).zip(self.pressures_pa) {
+            let psi = number(Some(pressure / PASCAL_PER_PSI), 3);
+            pressures.row([(*name).to_owned(), psi, bound.unwrap_or_default().to_owned()]);
         }
         let mut plate = Table::new(&["plate", ">x mm", ">y mm", ">z mm", ">turn x deg", ">turn y deg", ">turn z deg"]);
         let q = self.quaternion_wxyz;

@@ -232,11 +232,10 @@ fn coarse(tube: &Tube) -> solid::Mesh {
     }
 }
 
-fn path(
-    scene: &Scene,
-    mesh: &solid::Mesh,
-    progress: &mut dyn FnMut(f64),
-) -> Result<(Vec<Point>, Option<Limit>, Vec<Station>), FidelityError> {
+/// Points by pressure, the limit, and the sections at the farthest pressure.
+type Walked = (Vec<Point>, Option<Limit>, Vec<Station>);
+
+fn path(scene: &Scene, mesh: &solid::Mesh, progress: &mut dyn FnMut(f64)) -> Result<Walked, FidelityError> {
     let mut solid = Solid::new(&scene.tube, scene.length, mesh, None)?;
     let (mut points, mut limit, mut passed) = (empty(scene), None, 0.0);
     let (mut profile, mut farthest) = (Vec::new(), 0.0);
