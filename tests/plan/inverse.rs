@@ -124,11 +124,10 @@ fn no_limit_is_broken_whatever_is_asked_for() {
             let (before, had) = (state.loads().pressures.clone(), rest.margin(&state).smooth);
             let found = inverse::warm(&rest, &target, &limits, &state, reach).unwrap();
             reached += usize::from(found.shortfall.is_none());
-            for i in 0..4 {
-                let (p, last) = (found.pressures[i], before[i]);
+            for ((p, last), high) in found.pressures.iter().zip(&before).zip(limits.high) {
                 assert!((p - last).abs() <= reach * (1.0 + 1e-12), "slew {} {reach}", p - last);
-                let most = limits.high[i].max(last - reach * (1.0 - 1e-12));
-                assert!((0.0..=most).contains(&p), "bounds {p} {}", limits.high[i]);
+                let most = high.max(last - reach * (1.0 - 1e-12));
+                assert!((0.0..=most).contains(p), "bounds {p} {high}");
             }
             assert!(found.state.stable());
             // A start outside the bounds has to come in first, whatever that does to the margin.
