@@ -84,7 +84,7 @@ fn what_is_no_whisk_is_told_with_its_rule() {
         assert!(words.iter().all(|word| error.contains(word)), "{error}");
     };
     told(&|w| w.pressures[3][1] = 7.5 * PSI, &["b_psi", "7.50", "0 to 7.00 psi"]);
-    told(&|w| w.pressures[3][2] = -1.0 * PSI, &["c_psi", "-1.00"]);
+    told(&|w| w.pressures[3][2] = -PSI, &["c_psi", "-1.00"]);
     told(&|w| w.times.iter_mut().for_each(|t| *t *= 0.01), &["a_psi", "psi/s", "takes 30.0"]);
     told(&|w| w.times[1] = 0.0, &["times_s", "rise from 0"]);
     told(&|w| w.pressures.truncate(40), &["a_psi", "40 values for 41 times"]);
