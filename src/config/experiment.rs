@@ -25,7 +25,7 @@
 //! ]
 //! ```
 //!
-//! A whisk has keys of its own ([`super::whisk`]).
+//! A whisk has keys of its own ([`super::Whisk`]).
 //!
 //! An experiment is checked against the rig that is to run it: its FREEs, their limits, their gains.
 

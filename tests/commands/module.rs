@@ -118,7 +118,7 @@ fn the_frees_carry_plate_weight_and_force_and_the_mirror_image_mirrors() {
     let folder = place();
     let loads = ["--plate-mass", "20g", "--gravity", "-1m/s2,0m/s2,9.81m/s2", "--force", "0N,-0.05N,0.1N"];
     let right = model(folder.path(), "60deg", &[&["--pressures", "3psi,1psi,0psi,2psi"], &loads[..]].concat());
-    let mut sum = [0.02 * -1.0, -0.05, 0.1 + 0.02 * 9.81];
+    let mut sum = [-0.02, -0.05, 0.1 + 0.02 * 9.81];
     let resultants = right["resultants"].as_array().unwrap();
     assert_eq!(resultants.iter().map(|r| r["free"].as_str().unwrap()).collect::<String>(), "ABCD");
     for resultant in resultants {

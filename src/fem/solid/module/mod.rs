@@ -1,6 +1,6 @@
 //! The reference of a module: four finite tubes bonded to one rigid plate.
 //!
-//! Each tube is a [`System`] of its own whose cap the plate carries ([`plate`]). Newton's step condenses every tube
+//! Each tube is a [`System`] of its own whose cap the plate carries (`plate`). Newton's step condenses every tube
 //! to the six coordinates of its cap by its own factorisation, all four at once, and closes on the plate:
 //!
 //! ```text

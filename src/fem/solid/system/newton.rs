@@ -86,7 +86,7 @@ impl System {
     }
 
     /// Newton's iteration from `state` to an equilibrium under `control`. A tangent is used again while it gains a
-    /// digit at a time. On success the last factorisation is that of a state within [`SAME`], and the number of
+    /// digit at a time. On success the last factorisation is that of a state within `SAME`, and the number of
     /// corrections is returned.
     pub fn solve(&mut self, state: &mut State, control: &Control, most: usize) -> Result<usize, SystemError> {
         self.body.carry(state);
