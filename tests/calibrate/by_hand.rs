@@ -3,7 +3,6 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
 use std::time::Duration;
 
 use freerig::config::Rig;
@@ -17,6 +16,8 @@ use freerig::record::{Run, RunResult};
 use freerig::signal::State;
 use freerig::sim::{Hand, Plant, PlantFault};
 use serde_json::Value;
+
+use crate::harness::{freerig, json, refused};
 
 /// A folder with the example rig, at 250 Hz: nothing here closes a loop.
 fn place(calibration: &str) -> tempfile::TempDir {
@@ -40,24 +41,6 @@ fn rig(folder: &Path) -> Rig {
 /// What the simulated FREE really is.
 fn truth(rig: &Rig) -> Free {
     *Plant::new(&rig.bench).true_free(0).unwrap()
-}
-
-fn freerig(folder: &Path, args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_freerig")).args(args).current_dir(folder).output().unwrap()
-}
-
-fn json(output: &Output) -> Value {
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).expect("stdout is one JSON object")
-}
-
-#[track_caller]
-fn refused(output: &Output, status: i32, words: &[&str]) {
-    let text = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(status), "{text}");
-    for word in words {
-        assert!(text.contains(word), "{word}: {text}");
-    }
 }
 
 fn edit(path: &Path, from: &str, to: &str) {

@@ -2,6 +2,7 @@
 
 mod all;
 mod by_hand;
+mod harness;
 mod material;
 mod regulator;
 mod stiffness;

@@ -4,12 +4,14 @@ use std::f64::consts::PI;
 use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64Mcg;
 use serde_json::Value;
+
+use crate::harness::{self, freerig, refused};
 
 const MU: f64 = 0.393e6;
 const ALPHA: f64 = 1.2;
@@ -35,10 +37,6 @@ file = \"fiber.csv\"
 length_mm = 100
 fibers = 2
 ";
-
-fn freerig(folder: &Path, args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_freerig")).args(args).current_dir(folder).output().unwrap()
-}
 
 fn normal(rng: &mut Pcg64Mcg) -> f64 {
     StandardNormal.sample(rng)
@@ -93,11 +91,7 @@ fn fiber(rng: &mut Pcg64Mcg) -> String {
 
 /// A folder with the example rig, the tests' files and their script.
 fn bench() -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    let source = Path::new(env!("CARGO_MANIFEST_DIR"));
-    fs::copy(source.join("rig.toml"), folder.path().join("rig.toml")).unwrap();
-    fs::create_dir(folder.path().join("calibration")).unwrap();
-    fs::copy(source.join("calibration/paper.toml"), folder.path().join("calibration/paper.toml")).unwrap();
+    let folder = harness::bench();
     let rng = &mut Pcg64Mcg::seed_from_u64(11);
     let area = PI * (OUTER * OUTER - INNER * INNER);
     let write = |name: &str, text: String| fs::write(folder.path().join(name), text).unwrap();
@@ -119,15 +113,6 @@ fn edit(folder: &Path, file: &str, from: &str, to: &str) {
     let text = fs::read_to_string(&path).unwrap();
     assert!(text.contains(from), "{from}");
     fs::write(path, text.replacen(from, to, 1)).unwrap();
-}
-
-#[track_caller]
-fn refused(output: &Output, status: i32, words: &[&str]) {
-    let text = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(status), "{text}");
-    for word in words {
-        assert!(text.contains(word), "{word}: {text}");
-    }
 }
 
 #[test]

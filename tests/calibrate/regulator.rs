@@ -2,12 +2,14 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 use freerig::config::Rig;
 use freerig::daemon::calibration::gauge;
 use freerig::sim::SimRig;
 use serde_json::Value;
+
+use crate::harness::{freerig, refused};
 
 const PSI: f64 = 6894.757293168;
 
@@ -33,21 +35,8 @@ fn bench(twin: [&str; 2]) -> tempfile::TempDir {
     folder
 }
 
-fn freerig(folder: &Path, args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_freerig")).args(args).current_dir(folder).output().unwrap()
-}
-
 fn calibrate(folder: &Path, more: &[&str]) -> Output {
     freerig(folder, &[&["calibrate", "regulator", "--free", "two", "--stepped", "--json"], more].concat())
-}
-
-#[track_caller]
-fn refused(output: &Output, status: i32, words: &[&str]) {
-    let text = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(status), "{text}");
-    for word in words {
-        assert!(text.contains(word), "{word}: {text}");
-    }
 }
 
 #[test]
