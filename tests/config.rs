@@ -299,6 +299,18 @@ fn two_frees_cannot_share_a_dac_channel_and_need_its_measured_map() {
 }
 
 #[test]
+fn a_slew_limit_that_a_ramp_down_cannot_keep_is_a_problem_of_the_file() {
+    // 10 psi at 2 psi/s take 5 s; a ramp down has 3.
+    one_problem(
+        "slew_psi_per_s = 30 ",
+        "slew_psi_per_s = 2 ",
+        "safety.ramp_time_s",
+        "is 3.0 s, and `paper` takes 5.0 s",
+        "raise slew_psi_per_s of `paper`",
+    );
+}
+
+#[test]
 fn every_syntax_error_is_listed() {
     let (_folder, path) = rig_with(|_| "a = = 3\n[b\nc = \"x\n".into());
     let error = problems(&path);

@@ -84,7 +84,7 @@ pub(super) fn read_rig(mut root: Section<'_>, base: &Path, files: &mut Files) ->
         name: root.optional_text("name").unwrap_or_else(|| "bench".into()),
         backend,
         realtime: read_loop(root.section("loop")),
-        safety: read_safety(root.section("safety")),
+        safety: read_safety(root.section("safety"), &frees),
         record: read_record(root.section("record")),
         socket: read_socket(root.section("socket"), base),
         gpio: root.has("gpio").then(|| read_gpio(root.section("gpio"))),
@@ -121,12 +121,21 @@ fn read_loop(mut section: Section<'_>) -> LoopConfig {
     }
 }
 
-fn read_safety(mut section: Section<'_>) -> RawSafety {
-    RawSafety {
+fn read_safety(mut section: Section<'_>, frees: &[RawFree]) -> RawSafety {
+    let safety = RawSafety {
         vent_time: duration(section.number("vent_time_s", 1.5, 0.1..=30.0)),
         ramp_time: duration(section.number("ramp_time_s", 3.0, 0.1..=60.0)),
         command_timeout: duration(section.number("command_timeout_ms", 100.0, 10.0..=1000.0)),
+    };
+    for RawFree { name, limits, .. } in frees {
+        let (ramp, needed) = (safety.ramp_time.as_secs_f64(), limits.pressure_max / limits.slew);
+        // What cannot be compared has been noted already.
+        if needed > ramp {
+            let rule = format!("is {ramp:.1} s, and `{name}` takes {needed:.1} s from its highest pressure to zero");
+            section.reject("ramp_time_s", rule, format!("raise slew_psi_per_s of `{name}`, or write a longer time"));
+        }
     }
+    safety
 }
 
 fn read_record(mut section: Section<'_>) -> RecordConfig {
