@@ -346,42 +346,6 @@ fn devices_that_are_not_there_keep_it_from_arming_and_the_vent_from_being_verifi
 }
 
 #[test]
-fn a_terminated_daemon_ends_vented_from_every_state() {
-    // Booting and faulted are above and below.
-    for state in ["disarmed", "arming", "hold", "track", "ramp_down"] {
-        attempt(|place| {
-            let mut daemon = place.daemon();
-            let background = |arguments: &[&str]| {
-                let mut command = Command::new(PROGRAM);
-                command.args(arguments).current_dir(place.folder.path());
-                command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-                Daemon(command.spawn().unwrap())
-            };
-            let mut asked = Vec::new();
-            match state {
-                "disarmed" => {}
-                "arming" => asked.push(background(&["arm", "--accept-margin"])),
-                _ => {
-                    place.expect(&["arm", "--accept-margin"], 0);
-                    place.expect(&["set", "pressure", "2psi"], 0);
-                }
-            }
-            match state {
-                "track" => {
-                    runtime().block_on(place.client().start(&start(true))).unwrap();
-                }
-                "ramp_down" => asked.push(background(&["disarm"])),
-                _ => {}
-            }
-            place.until(state, |status| status.state == state);
-            daemon.signal("-TERM");
-            assert_eq!(daemon.ended(), Some(0), "{state}: {}", place.log());
-            assert!(place.log().contains("stopped: vented and verified"), "{state}: {}", place.log());
-        });
-    }
-}
-
-#[test]
 fn systemd_is_told_when_it_is_ready_that_it_lives_what_it_does_and_that_it_stops() {
     attempt(|place| {
         let path = place.path("notify");

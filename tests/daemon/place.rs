@@ -1,4 +1,5 @@
 //! The program in a folder of its own: its commands, its daemon, its log.
+#![allow(dead_code, reason = "two test programs use it, neither all of it")]
 
 use std::fs::File;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -106,10 +107,21 @@ impl Place {
 
     /// Starts the daemon with some environment and waits until it answers.
     pub fn booting(&self, environment: &[(&str, &str)]) -> Daemon {
-        let log = File::options().create(true).append(true).open(self.path("log")).unwrap();
         let mut command = Command::new(PROGRAM);
-        command.arg("run").current_dir(self.folder.path()).stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
-        let mut daemon = Daemon(command.envs(environment.iter().copied()).spawn().unwrap());
+        command.arg("run").envs(environment.iter().copied());
+        self.answering(command)
+    }
+
+    /// Starts `command`, which becomes the daemon.
+    pub fn spawned(&self, mut command: Command) -> Daemon {
+        let log = File::options().create(true).append(true).open(self.path("log")).unwrap();
+        command.current_dir(self.folder.path()).stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
+        Daemon(command.spawn().unwrap())
+    }
+
+    /// Starts `command`, which becomes the daemon, and waits until it answers.
+    pub fn answering(&self, command: Command) -> Daemon {
+        let mut daemon = self.spawned(command);
         let end = Instant::now() + LONG;
         while self.command(&["status"]).status.code() != Some(0) {
             assert_eq!(daemon.0.try_wait().unwrap(), None, "{}", self.log());
@@ -117,6 +129,13 @@ impl Place {
             std::thread::sleep(Duration::from_millis(50));
         }
         daemon
+    }
+
+    /// Starts a command of the program that goes on by itself.
+    pub fn background(&self, arguments: &[&str]) -> Daemon {
+        let mut command = Command::new(PROGRAM);
+        command.args(arguments);
+        self.spawned(command)
     }
 }
 
@@ -127,6 +146,13 @@ impl Daemon {
     pub fn signal(&self, name: &str) {
         let killed = Command::new("kill").args([name, &self.0.id().to_string()]).status().unwrap();
         assert!(killed.success());
+    }
+
+    /// A figure of its memory, MiB: `VmRSS`, or `VmHWM`, the highest so far.
+    pub fn memory(&self, name: &str) -> f64 {
+        let text = std::fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap();
+        let line = text.lines().find(|line| line.starts_with(name)).unwrap();
+        line.split_whitespace().nth(1).unwrap().parse::<f64>().unwrap() / 1024.0
     }
 
     /// Waits for its end; its exit status, none after a kill.
