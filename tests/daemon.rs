@@ -346,6 +346,35 @@ fn devices_that_are_not_there_keep_it_from_arming_and_the_vent_from_being_verifi
 }
 
 #[test]
+fn a_terminated_daemon_has_seen_the_pressure_go_before_it_ends() {
+    for state in ["disarmed", "arming", "hold", "track", "ramp_down"] {
+        attempt(|place| {
+            let mut daemon = place.daemon();
+            let mut asked = Vec::new();
+            match state {
+                "disarmed" => {}
+                "arming" => asked.push(place.background(&["arm", "--accept-margin"])),
+                _ => {
+                    place.expect(&["arm", "--accept-margin"], 0);
+                    place.expect(&["set", "pressure", "2psi"], 0);
+                }
+            }
+            match state {
+                "track" => {
+                    runtime().block_on(place.client().start(&start(true))).unwrap();
+                }
+                "ramp_down" => asked.push(place.background(&["disarm"])),
+                _ => {}
+            }
+            place.until(state, |status| status.state == state);
+            daemon.signal("-TERM");
+            assert_eq!(daemon.ended(), Some(0), "{state}: {}", place.log());
+            assert!(place.log().contains("stopped: vented and verified"), "{state}: {}", place.log());
+        });
+    }
+}
+
+#[test]
 fn systemd_is_told_when_it_is_ready_that_it_lives_what_it_does_and_that_it_stops() {
     attempt(|place| {
         let path = place.path("notify");

@@ -66,7 +66,7 @@ async fn finished(events: &mut Lines<Event>) -> (String, RunResult) {
 /// Waits until `condition` holds, for as long as a busy machine may need.
 #[track_caller]
 fn until(what: &str, mut condition: impl FnMut() -> bool) {
-    let end = Instant::now() + place::LONG;
+    let end = Instant::now() + 2 * place::LONG;
     while !condition() {
         assert!(Instant::now() < end, "not {what}");
         std::thread::sleep(Duration::from_millis(20));
