@@ -106,7 +106,7 @@ pub fn run(
     let mine = |piece: &usize| shard.is_none_or(|shard| shard.has(*piece));
     let missing: Vec<usize> = (0..study.pieces()).filter(mine).filter(|piece| !study.done(*piece)).collect();
     let total: usize = missing.iter().map(|piece| study.designs(*piece).len()).sum();
-    let progress = Mutex::new((0, Progress::new("study", total as f64, "designs")));
+    let progress = Mutex::new((0usize, Progress::new("study", total as f64, "designs")));
     let one = |candidate: &Candidate| {
         let rows = rows(candidate, question);
         let mut progress = progress.lock().unwrap_or_else(PoisonError::into_inner);
@@ -116,16 +116,20 @@ pub fn run(
         rows
     };
     missing.par_iter().try_for_each(|&piece| {
+        // Somebody else may have come first.
+        if study.done(piece) {
+            return Ok(());
+        }
         let rows: Vec<Vec<Row>> = candidates[study.designs(piece)].par_iter().map(one).collect();
         study.keep(piece, &rows.concat())
     })?;
-    drop(progress);
+    let (computed_now, _) = progress.into_inner().unwrap_or_else(PoisonError::into_inner);
     let left = (0..study.pieces()).filter(|piece| !study.done(*piece)).count();
     let mut report = Report {
         study: folder.display().to_string(),
         designs: candidates.len(),
         pieces: study.pieces(),
-        computed_now: total,
+        computed_now,
         missing: left,
         pressure_pa: question.pressures.last().copied().unwrap_or(0.0),
         swept: sweeps.iter().map(|sweep| sweep.parameter.name()).collect(),
