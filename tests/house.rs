@@ -1,4 +1,5 @@
-//! The floors of the house: imports go downwards only, and the pure floors touch nothing outside.
+//! The floors of the house: imports go downwards only, and the pure floors touch nothing outside; and its book of hard
+//! cases names tests that there are.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -95,4 +96,28 @@ fn pure_floors_read_no_clock_file_socket_or_environment() {
         }
     }
     assert!(read > 10_000, "{read} lines: this test does not read the house any more");
+}
+
+#[test]
+fn the_hard_case_book_names_tests_that_exist() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let book = fs::read_to_string(root.join("docs/hard-cases.md")).unwrap();
+    let floors: Vec<&str> = book.split("\n## ").skip(1).collect();
+    assert_eq!(floors.len(), 9, "a table for each floor");
+    for floor in floors {
+        let title = floor.lines().next().unwrap_or_default();
+        // Two lines of every table are its head.
+        let rows: Vec<&str> = floor.lines().filter(|line| line.starts_with('|')).skip(2).collect();
+        assert!(!rows.is_empty(), "{title}: an empty table");
+        for row in rows {
+            let last = row.trim_end_matches('|').rsplit('|').next().unwrap_or_default();
+            let names: Vec<&str> = last.split('`').skip(1).step_by(2).collect();
+            let [file, function] = names[..] else { panic!("{title}: `file` `function` is wanted, not {last}") };
+            let text = fs::read_to_string(root.join("tests").join(file));
+            let text = text.unwrap_or_else(|error| panic!("{title}: tests/{file}: {error}"));
+            let before = text.split_once(&format!("fn {function}(")).map(|(before, _)| before.trim_end());
+            let test = before.is_some_and(|before| before.ends_with("#[test]"));
+            assert!(test, "{title}: tests/{file} has no test {function}");
+        }
+    }
 }
