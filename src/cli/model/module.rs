@@ -327,7 +327,7 @@ fn text(rows: &[Row], scene: &ModuleScene, estimates: &Estimates) -> String {
     );
     text += &format!("\nmodel error, estimated: {} (the FREEs' ends)", percent(estimates.model));
     let bending = percent(Some(law.bending));
-    text += &format!("\nbending stiffness of a turned FREE taken from one at rest in its turn: differs by {bending}");
+    text += &format!("\nbending stiffness, interpolated over stretch, twist and pressure: up to {bending} off");
     if let Some(reason) = &estimates.reason {
         text += &format!("\nwhy this model: {reason}");
     }

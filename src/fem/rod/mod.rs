@@ -11,8 +11,10 @@
 mod assembly;
 mod basis;
 mod condensed;
+mod density;
 mod dual;
 mod law;
+mod profile;
 mod table;
 
 use nalgebra::Vector2;
@@ -23,7 +25,8 @@ pub(crate) use basis::Basis;
 pub use basis::Resolution;
 pub(crate) use condensed::{Condensed, blocks, half_bracket, moment_force, twist, vector6, wrench};
 pub(crate) use dual::{DualMatrix, DualVector, Exponential, skew, small_twist};
-pub use law::{Jet, Law, LawError, Profile, Straight};
+pub use law::{Jet, Law, LawError, Straight};
+pub use profile::Profile;
 pub use table::{Axis, Grid, Table, TableDeviation, TableError};
 
 /// A rod of one law. SI units.
