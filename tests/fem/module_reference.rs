@@ -163,8 +163,9 @@ fn up_to_7_psi_only_case_1_buckles_and_only_at_60_degrees() {
                     // Turned by a quarter and more, or bowed by the others, neighbours touch.
                     Err(ModuleError::Ends { fraction, cause: Some(cause) }) => {
                         assert!(matches!(*cause, ModuleError::Contact { .. }), "{cause}");
-                        let first = [(2, 5.0), (3, 6.5), (5, 6.2)].into_iter().find(|of| of.0 == number);
-                        let (_, first) = first.filter(|_| degrees == 60.0).expect("Cases 2, 3 and 5 at 60 deg");
+                        let first = [(30.0, 2, 6.5), (60.0, 2, 5.0), (60.0, 3, 6.2), (60.0, 5, 5.9)];
+                        let named = first.into_iter().find(|of| (of.0, of.1) == (degrees, number));
+                        let (_, _, first) = named.expect("Case 2, or Cases 3 and 5 at 60 deg");
                         assert!(7.0 * fraction > first, "{degrees} deg case {number} at {fraction}");
                         break;
                     }

@@ -39,6 +39,8 @@ pub(crate) struct Assembly {
     pub jacobian: Vec<DualMatrix>,
     /// Poses at the ends of the steps, from the base to the tip.
     pub nodes: Vec<DualMatrix>,
+    /// Volume of the cavity per reference length, m2, and stretch at the Gauss points.
+    pub cavity: Vec<[f64; 2]>,
     geometric: Vec<DualMatrix>,
     pulled: Vec<[DualMatrix; 2]>,
 }
@@ -137,6 +139,7 @@ impl Assembly {
         }
         self.pulled.resize(modes, [DualMatrix::ZERO; 2]);
         self.nodes.clear();
+        self.cavity.clear();
     }
 
     /// The law's part: energy, dU/dq, d2U/dq2, d2U/dq dP.
@@ -150,6 +153,7 @@ impl Assembly {
             let density = isobar.density(&(x.re.xy() - rest_curvature), &x.du.xy(), x.du.z, x.re.z)?;
             self.energy += weight * density.value;
             self.energy_by_pressure += weight * density.by_pressure;
+            self.cavity.push([-density.by_pressure, x.du.z]);
             let (stress, slope) = (density.stress * weight, density.stress_by_pressure * weight);
             let tangent = density.tangent * weight;
             for (m, p) in phi.iter().enumerate() {

@@ -29,7 +29,7 @@ impl Isobar<'_> {
     ///
     /// The lateral part is `EI |k|^2 / 2 + GA |s|^2 / 2` with `s = g + q k`, whose three coefficients follow stretch,
     /// twist and pressure.
-    pub fn density(
+    pub(super) fn density(
         &mut self,
         k: &Vector2<f64>,
         g: &Vector2<f64>,

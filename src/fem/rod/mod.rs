@@ -38,7 +38,7 @@ pub struct Rod {
     pub law: Law,
     /// Curvature at rest about the section's x and y, rad/m: an imperfect FREE is not straight.
     pub rest_curvature: Vector2<f64>,
-    /// Outer radius for the clearance to other rods, m; 0 ignores contact.
+    /// Outer radius at rest for the clearance to other rods, m; 0 ignores contact.
     pub outer_radius: f64,
 }
 
