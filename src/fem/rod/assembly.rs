@@ -203,7 +203,8 @@ mod tests {
 
     use super::super::basis::{Basis, Resolution};
     use super::super::condensed::{Condensed, moment_force, twist, vector6};
-    use super::super::law::{Law, Profile, Straight};
+    use super::super::law::{Law, Straight};
+    use super::super::profile::Profile;
     use super::*;
 
     const PRESSURE: f64 = 0.7;

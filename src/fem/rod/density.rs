@@ -97,7 +97,7 @@ mod tests {
     fn law(mirrored: bool) -> Law {
         let axis = |from: f64, to: f64| Axis { from, to, points: 5 };
         let grid = Grid { skew: [1e-3, 1e-6], ..Grid::straight(axis(0.9, 1.1), axis(-20.0, 20.0), axis(0.0, 5e4)) };
-        let samples: Vec<_> = (0..125).map(|k| grid.at([k / 25, k / 5 % 5, k % 5])).map(|at @ [l, t, p]| {
+        let samples = (0..125).map(|k| grid.at([k / 25, k / 5 % 5, k % 5])).map(|at @ [l, t, p]| {
             let (l, t, p) = (l - 1.0, 0.02 * t, 1e-5 * p);
             (
                 at,

@@ -225,9 +225,9 @@ mod tests {
         assert_eq!(at(&Profile::through([(3.0, 4.0)]), 2.0), 4.0);
     }
 
-    /// Of degree 4 in each variable and 5 in all.
+    /// Of degree 4 in each of the grid's coordinates and 5 in all.
     fn polynomial([x, y, z]: [f64; 3]) -> f64 {
-        let (x, y) = (x - 0.97, 0.1 * y);
+        let (x, y) = (x + 0.02 * y - 0.05 * z - 0.97, 0.1 * y);
         2.0 + x - y * z + x.powi(4) * y - 3.0 * x.powi(2) * y.powi(2) * z + z.powi(4) + y.powi(3) * z.powi(2)
     }
 
@@ -237,7 +237,7 @@ mod tests {
     }
 
     fn fitted() -> Profile {
-        let samples: Vec<_> = (0..125).map(|k| grid().at([k / 25, k / 5 % 5, k % 5])).map(|at| (at, [polynomial(at)]));
+        let samples = (0..125).map(|k| grid().at([k / 25, k / 5 % 5, k % 5])).map(|at| (at, [polynomial(at)]));
         Profile::fitted(&grid(), &samples.collect::<Vec<_>>()).unwrap()[0]
     }
 
