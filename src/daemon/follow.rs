@@ -213,7 +213,8 @@ impl<'g> Follower<'g> {
 
     /// The pressures at `time`, which is `t` of the program.
     fn sight(&self, time: Time, t: f64, dt: f64) -> Seen {
-        let pressures = std::array::from_fn(|i| self.channels[i].pressure(time));
+        // A reading about zero may lie below it: there the model ends.
+        let pressures = std::array::from_fn(|i| self.channels[i].pressure(time).max(0.0));
         let rates = std::array::from_fn(|i| {
             let channel = &self.channels[i];
             self.program.reference(channel.free, t - channel.lag - channel.dead_time).rate

@@ -82,7 +82,7 @@ pub use samples::{Batches, FILE_NAME as SAMPLES_NAME, Records, Table, floats};
 pub use sheet::Sheet;
 pub use signals::Signals;
 pub use stiffness::stiffness_sheet;
-pub use tip::{TipLine, TipWriter};
+pub use tip::{TipLine, TipWriter, read as read_tip};
 pub use tube::TubeDocument;
 pub use way::way_sheet;
 pub use whisk::whisk_sheet;

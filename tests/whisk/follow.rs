@@ -1,76 +1,168 @@
 //! The plate led along its path, on modules that are not the model's.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use freerig::config::{Rig, Whisk};
 use freerig::daemon::experiment::{Attendance, Job, Progress, run};
-use freerig::daemon::{Bench, PoseDesk, Stepped, procedure};
-use freerig::record::{Apart, Run, TipPath};
-use freerig::units::PASCAL_PER_PSI as PSI;
+use freerig::daemon::{PoseDesk, STALE_POSE, Sighting, Stepped, procedure};
+use freerig::record::{Apart, Run, TipPath, read_tip};
+use freerig::signal::{FaultCode, State};
+use freerig::sim::chips::Misbehaviour;
+use nalgebra::Vector3;
 
 use crate::harness::{WIDTH, parse, plan, rig};
 
-/// Runs `whisk`; `watch` sees every look at the rig.
-fn carry_out(
-    rig: &Rig,
-    whisk: &Whisk,
-    open_loop: bool,
-    poses: &Arc<PoseDesk>,
-    watch: &mut dyn FnMut(&Progress<'_>),
-) -> Run {
-    let experiment = parse(&whisk.to_toml(&[]), rig).unwrap();
-    let mut bench = Stepped::new(rig).unwrap();
-    procedure::arm(&mut bench, rig, false).unwrap();
-    let job = Job { stepped: true, open_loop, poses: Arc::clone(poses), ..Job::new(experiment, Attendance::Here) };
-    run(&mut bench, rig, &job, watch).unwrap().remove(0)
+/// An armed rig and a job for it.
+struct Scene {
+    rig: Rig,
+    bench: Stepped,
+    job: Job,
+    _folder: tempfile::TempDir,
+}
+
+impl Scene {
+    /// The example module of `seed` with `payload` g on its plate that nobody has said, and the plan of its model.
+    fn new(seed: u64, payload: f64, periods: u32, open_loop: bool) -> Scene {
+        let payload = format!("payload_g = {payload}\ndamping_percent = 20");
+        let (folder, rig) = rig(&[("seed = 1", &format!("seed = {seed}")), ("damping_percent = 20", payload.as_str())]);
+        let whisk: Whisk = plan(&rig, periods);
+        let experiment = parse(&whisk.to_toml(&[]), &rig).unwrap();
+        let mut bench = Stepped::new(&rig).unwrap();
+        procedure::arm(&mut bench, &rig, false).unwrap();
+        let job = Job { stepped: true, open_loop, ..Job::new(experiment, Attendance::Here) };
+        Scene { rig, bench, job, _folder: folder }
+    }
+
+    fn carry_out(&mut self, watch: &mut dyn FnMut(&Progress<'_>)) -> Run {
+        run(&mut self.bench, &self.rig, &self.job, watch).unwrap().remove(0)
+    }
+}
+
+/// How far the true plate was from the plan over the periods from `from` on, m.
+fn off(path: &TipPath, from: u32) -> Apart {
+    let begin = 2.0 + 4.0 * f64::from(from);
+    let late = |points: &[Option<Vector3<f64>>]| {
+        path.t.iter().zip(points).filter(|(t, _)| **t >= begin).map(|(_, p)| *p).collect::<Vec<_>>()
+    };
+    Apart::between(&late(&path.truth), &late(&path.planned)).unwrap()
+}
+
+fn way(seed: u64, payload: f64, periods: u32, open_loop: bool) -> TipPath {
+    let mut scene = Scene::new(seed, payload, periods, open_loop);
+    let run = scene.carry_out(&mut |_| {});
+    assert_eq!(run.result_name(), "done");
+    assert_eq!(run.start().whisk.as_ref().unwrap().closed_loop, !open_loop);
+    let path = TipPath::of(&run).unwrap().unwrap();
+    let held = Apart::between(&path.estimated, &path.truth).unwrap();
+    let [all, last] = [off(&path, 0), off(&path, periods - 1)].map(|apart| 1e3 * apart.rms);
+    let loops = if open_loop { "open  " } else { "closed" };
+    println!(
+        "seed {seed}, {payload:2} g, {loops}: RMS {all:.3} mm ({:.1} % of the width), last period {last:.3} mm, estimate off by {:.3} mm",
+        1e-1 * all / WIDTH,
+        1e3 * held.rms
+    );
+    if let Some(lines) = read_tip(&run.folder).unwrap() {
+        println!("    {:.4?}", lines.last().unwrap().unknowns);
+    }
+    path
 }
 
 #[test]
 fn explore() {
-    let seeds: Vec<u64> =
-        std::env::var("SEEDS").unwrap_or("1,2,3".into()).split(',').map(|s| s.parse().unwrap()).collect();
-    let payload = std::env::var("PAYLOAD").unwrap_or("0".into());
-    let tracker = std::env::var("TRACKER").is_ok();
-    for seed in seeds {
-        let (_folder, rig) = rig(&[
-            ("seed = 1", &format!("seed = {seed}")),
-            ("damping_percent = 20", &format!("payload_g = {payload}\ndamping_percent = 20")),
-        ]);
-        let whisk = plan(&rig, 3);
-        for open in [true, false] {
-            let begun = std::time::Instant::now();
-            let poses = Arc::default();
-            let _ = tracker;
-            let run = carry_out(&rig, &whisk, open, &poses, &mut |_| {});
-            let took = begun.elapsed().as_secs_f64();
-            let path = TipPath::of(&run).unwrap().unwrap();
-            let part = |from: f64, to: f64| {
-                let pick = |p: &[Option<nalgebra::Vector3<f64>>]| {
-                    path.t.iter().zip(p).filter(|(t, _)| **t >= from && **t < to).map(|(_, p)| *p).collect::<Vec<_>>()
-                };
-                let e = Apart::between(&pick(&path.truth), &pick(&path.planned)).unwrap();
-                let est = Apart::between(&pick(&path.truth), &pick(&path.estimated));
-                (e.rms * 1e3, e.peak * 1e3, est.map(|e| e.rms * 1e3))
-            };
-            println!(
-                "seed {seed} payload {payload} open {open}: all {:.3?} periods {:.3?} {:.3?} {:.3?} {} {took:.0} s",
-                part(2.0, 14.0),
-                part(2.0, 6.0),
-                part(6.0, 10.0),
-                part(10.0, 14.0),
-                run.result_name()
-            );
-            if !open {
-                let text = std::fs::read_to_string(run.folder.join("tip.csv")).unwrap();
-                let last = text.lines().last().unwrap();
-                println!("   {last}");
-                let _ = std::fs::copy(run.folder.join("tip.csv"), format!("/tmp/tip-{seed}.csv"));
+    let list = |name: &str, usual: &str| -> Vec<f64> {
+        std::env::var(name).unwrap_or(usual.into()).split(',').map(|s| s.parse().unwrap()).collect()
+    };
+    for seed in list("SEEDS", "1") {
+        for payload in list("PAYLOADS", "0") {
+            for open in list("OPEN", "1,0") {
+                let path = way(seed as u64, payload, 3, open == 1.0);
+                let d: Vec<_> = path.truth.iter().zip(&path.planned).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect();
+                let m = d.iter().sum::<Vector3<f64>>() / d.len() as f64 * 1e3;
+                println!("    mean off {:.3} {:.3} {:.3}", m.x, m.y, m.z);
+                let d: Vec<_> =
+                    path.estimated.iter().zip(&path.truth).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect();
+                let m = d.iter().sum::<Vector3<f64>>() / d.len() as f64 * 1e3;
+                println!("    estimate mean off {:.3} {:.3} {:.3}", m.x, m.y, m.z);
             }
-            let mean: Vec<_> = path.truth.iter().zip(&path.planned).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect();
-            let m = mean.iter().sum::<nalgebra::Vector3<f64>>() / mean.len() as f64 * 1e3;
-            println!("   mean off {:.3} {:.3} {:.3} mm", m.x, m.y, m.z);
         }
-        let _ = (WIDTH, PSI);
-        let _ = |b: &mut Stepped| b.latest();
     }
+}
+
+#[test]
+fn the_eight_is_followed_within_a_twentieth_of_its_width_on_modules_that_are_not_the_models() {
+    for seed in 1..=5 {
+        let [open, closed] = [true, false].map(|open| off(&way(seed, 0.0, 3, open), 0).rms);
+        assert!(closed <= 0.05 * WIDTH, "seed {seed}: {closed}");
+        assert!(3.0 * closed <= open, "seed {seed}: {closed} {open}");
+    }
+}
+
+#[test]
+fn a_payload_that_nobody_has_said_does_not_unsettle_it() {
+    for payload in [25.0, 50.0] {
+        let [open, closed] = [true, false].map(|open| way(1, payload, 3, open));
+        let [first, last] = [0, 2].map(|period| off(&closed, period));
+        // It calms down, and is nearer than the plan as it stands.
+        assert!(last.rms <= first.rms, "{payload} g: {first:?} {last:?}");
+        assert!(last.rms < off(&open, 2).rms, "{payload} g: {last:?}");
+    }
+}
+
+#[test]
+fn a_tracker_is_believed_but_not_when_it_is_late_or_wrong() {
+    let mut scene = Scene::new(2, 25.0, 2, false);
+    let poses: Arc<PoseDesk> = Arc::clone(&scene.job.poses);
+    let plant = scene.bench.sim().plant();
+    let (mut looks, mut put) = (0, [0; 3]);
+    let run = scene.carry_out(&mut |progress| {
+        if !poses.is_wanted() {
+            return;
+        }
+        let time = progress.record.time;
+        let position = Vector3::from(plant.lock().unwrap().truth(0, time).position);
+        let seen = Sighting { time, position, deviation: 2e-4, rotation: None };
+        looks += 1;
+        // Every fifth is another body's; every other fifth is a second old.
+        let (kind, seen) = match looks % 5 {
+            0 => (1, Sighting { position: position + Vector3::new(0.03, 0.0, 0.0), ..seen }),
+            1 => (2, Sighting { time: time - Duration::from_secs(1), position: Vector3::zeros(), ..seen }),
+            _ => (0, seen),
+        };
+        put[kind] += 1;
+        poses.put(seen);
+    });
+    assert!(!poses.is_wanted() && STALE_POSE < Duration::from_secs(1));
+    assert_eq!(run.result_name(), "done");
+    let seen: Vec<_> = read_tip(&run.folder).unwrap().unwrap().iter().filter_map(|line| line.tracker).collect();
+    // Nothing was recorded of the old ones; of the others, all but those that the run's end cut off.
+    let expected = put[0] + put[1];
+    assert!((expected - 30..=expected).contains(&seen.len()), "{} of {put:?}", seen.len());
+    let rightly = |(position, believed): &&(Vector3<f64>, bool)| *believed == (position.x < 0.02);
+    assert_eq!(seen.iter().filter(rightly).count(), seen.len());
+    let path = TipPath::of(&run).unwrap().unwrap();
+    let closed = off(&path, 1);
+    println!("with a tracker: {closed:?}");
+    assert!(closed.rms <= 0.05 * WIDTH, "{closed:?}");
+}
+
+#[test]
+fn a_plate_whose_imu_falls_silent_is_vented() {
+    let mut scene = Scene::new(1, 0.0, 1, false);
+    let imu = scene.bench.sim().imu(0).unwrap().clone();
+    let states = Mutex::new(Vec::new());
+    let run = scene.carry_out(&mut |progress| {
+        if progress.elapsed > 3.0 {
+            imu.always(Misbehaviour::Nak);
+        }
+        states.lock().unwrap().push((progress.record.state, progress.record.vent));
+    });
+    assert_eq!(run.result_name(), "fault");
+    let faults = &run.stop().unwrap().faults;
+    assert!(faults.iter().any(|fault| fault.latched && fault.name == FaultCode::ImuStale.name()), "{faults:?}");
+    let states = states.into_inner().unwrap();
+    assert!(states.contains(&(State::Track, false)));
+    let last = freerig::daemon::Bench::latest(&mut scene.bench);
+    assert_eq!(last.state, State::Faulted);
+    assert!(last.frees().iter().all(|free| free.command == 0.0 && free.pressure.pressure < 0.3 * 6894.8));
 }
