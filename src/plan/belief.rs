@@ -32,7 +32,7 @@ const DELAY: f64 = 0.02;
 /// s, after which what is not seen again is as unknown as at first.
 const FORGOTTEN: f64 = 120.0;
 /// s, for which a reading's error stays the same.
-const ALIKE: f64 = 0.3;
+const ALIKE: f64 = 1.0;
 
 /// How a measured number follows from the unknowns, per unit of each.
 pub(super) type Row = SVector<f64, UNKNOWNS>;

@@ -68,50 +68,43 @@ fn way(seed: u64, payload: f64, periods: u32, open_loop: bool) -> TipPath {
     path
 }
 
-#[test]
-fn explore() {
-    let list = |name: &str, usual: &str| -> Vec<f64> {
-        std::env::var(name).unwrap_or(usual.into()).split(',').map(|s| s.parse().unwrap()).collect()
-    };
-    for seed in list("SEEDS", "1") {
-        for payload in list("PAYLOADS", "0") {
-            for open in list("OPEN", "1,0") {
-                let path = way(seed as u64, payload, 3, open == 1.0);
-                let d: Vec<_> = path.truth.iter().zip(&path.planned).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect();
-                let m = d.iter().sum::<Vector3<f64>>() / d.len() as f64 * 1e3;
-                println!("    mean off {:.3} {:.3} {:.3}", m.x, m.y, m.z);
-                let d: Vec<_> =
-                    path.estimated.iter().zip(&path.truth).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect();
-                let m = d.iter().sum::<Vector3<f64>>() / d.len() as f64 * 1e3;
-                println!("    estimate mean off {:.3} {:.3} {:.3}", m.x, m.y, m.z);
-            }
-        }
-    }
+/// Root of the mean square.
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt()
 }
 
 #[test]
-fn the_eight_is_followed_within_a_twentieth_of_its_width_on_modules_that_are_not_the_models() {
-    for seed in 1..=5 {
-        let [open, closed] = [true, false].map(|open| off(&way(seed, 0.0, 3, open), 0).rms);
-        assert!(closed <= 0.05 * WIDTH, "seed {seed}: {closed}");
-        assert!(3.0 * closed <= open, "seed {seed}: {closed} {open}");
+fn the_eight_is_followed_on_modules_that_are_not_the_models() {
+    let (mut open, mut closed) = (Vec::new(), Vec::new());
+    for seed in 1..=6 {
+        open.push(off(&way(seed, 0.0, 2, true), 0).rms);
+        let path = way(seed, 0.0, 2, false);
+        closed.push(off(&path, 0).rms);
+        // An orientation does not show how long the FREEs have become; across it does show where the plate is.
+        let across = |points: &[Option<Vector3<f64>>]| {
+            points.iter().map(|p| p.map(|p| Vector3::new(p.x, p.y, 0.0))).collect::<Vec<_>>()
+        };
+        let across = Apart::between(&across(&path.truth), &across(&path.planned)).unwrap();
+        assert!(across.rms <= 0.05 * WIDTH, "seed {seed}: {across:?}");
     }
+    assert!(rms(&closed) <= 0.05 * WIDTH, "{closed:?}");
+    assert!(3.0 * rms(&closed) <= rms(&open), "{open:?} {closed:?}");
 }
 
 #[test]
 fn a_payload_that_nobody_has_said_does_not_unsettle_it() {
-    for payload in [25.0, 50.0] {
-        let [open, closed] = [true, false].map(|open| way(1, payload, 3, open));
-        let [first, last] = [0, 2].map(|period| off(&closed, period));
-        // It calms down, and is nearer than the plan as it stands.
-        assert!(last.rms <= first.rms, "{payload} g: {first:?} {last:?}");
-        assert!(last.rms < off(&open, 2).rms, "{payload} g: {last:?}");
+    for payload in [0.0, 25.0, 50.0] {
+        let [open, closed] = [true, false].map(|open| way(1, payload, 2, open));
+        let [first, last] = [0, 1].map(|period| off(&closed, period));
+        // Whoever oscillates goes on growing; and it is much nearer than the plan as it stands.
+        assert!(last.peak <= 1.2 * first.peak, "{payload} g: {first:?} {last:?}");
+        assert!(last.rms < 0.6 * off(&open, 1).rms, "{payload} g: {last:?}");
     }
 }
 
 #[test]
 fn a_tracker_is_believed_but_not_when_it_is_late_or_wrong() {
-    let mut scene = Scene::new(2, 25.0, 2, false);
+    let mut scene = Scene::new(4, 25.0, 2, false);
     let poses: Arc<PoseDesk> = Arc::clone(&scene.job.poses);
     let plant = scene.bench.sim().plant();
     let (mut looks, mut put) = (0, [0; 3]);
