@@ -33,6 +33,7 @@ mod quadratic;
 mod rest;
 pub mod scatter;
 mod search;
+pub mod study;
 mod target;
 pub mod whisk;
 pub mod workspace;
