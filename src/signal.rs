@@ -131,6 +131,16 @@ pub struct Command {
     pub vent: bool,
 }
 
+/// What the model thread adds to the pressures of a module's plan: latest value only, and the older it is the less of it
+/// counts (`control::trim`).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Trim {
+    /// When it was made.
+    pub time: Time,
+    /// By FREE, Pa.
+    pub pressure: [f64; MAX_FREES],
+}
+
 /// Faults of the matrix; the numbers are stable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[repr(u8)]
@@ -534,6 +544,8 @@ pub struct TickRecord {
     pub supply_low: bool,
     /// Latest heartbeat of the client that runs the program (input).
     pub heartbeat: Time,
+    /// Latest trim of a module's plan (input).
+    pub trim: Trim,
     /// What this tick refused: the request it took up, or the arming it had to give up.
     pub refusal: Refusal,
     /// Time since the program's start, s; not a number outside a program.
@@ -572,6 +584,7 @@ impl Default for TickRecord {
             config_changed: false,
             supply_low: false,
             heartbeat: Time::ZERO,
+            trim: Trim::default(),
             refusal: Refusal::NONE,
             program_time: f64::NAN,
             latched: FaultSet::NONE,

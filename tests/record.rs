@@ -11,7 +11,8 @@ use freerig::record::{
 };
 use freerig::signal::{
     Estimate, FaultCode, FaultSet, FreeTick, ImuHealth, ImuSample, LimitSet, MAX_FREES, PressureSample, Quantity,
-    Reference, Refusal, RefusalCode, RegulatorHealth, RegulatorStatus, RequestKind, State, Terms, TickRecord, Truth,
+    Reference, Refusal, RefusalCode, RegulatorHealth, RegulatorStatus, RequestKind, State, Terms, TickRecord, Trim,
+    Truth,
 };
 
 use freerig::trajectory::Program;
@@ -45,6 +46,7 @@ fn scrambled(r: &mut Scramble, tick: u64, frees: usize) -> TickRecord {
         config_changed: r.of(&[true, false]),
         supply_low: r.of(&[true, false]),
         heartbeat: Time::from_nanos(r.bits()),
+        trim: Trim { time: Time::from_nanos(r.bits()), ..Trim::default() },
         refusal: Refusal {
             code: r.of(&[RefusalCode::None, RefusalCode::NotVented, RefusalCode::Busy]),
             free: r.bits() as u8,
@@ -57,6 +59,7 @@ fn scrambled(r: &mut Scramble, tick: u64, frees: usize) -> TickRecord {
         free_count: frees as u8,
         ..TickRecord::default()
     };
+    record.trim.pressure[..frees].fill_with(|| r.float());
     for free in &mut record.frees[..frees] {
         *free = FreeTick {
             imu: ImuSample {

@@ -8,7 +8,9 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use freerig::clock::Time;
-use freerig::daemon::api::{Arm, Event, Happening, Problem, ProblemKind, Request, Response, Run, Set, Start, Status};
+use freerig::daemon::api::{
+    Arm, Event, Happening, Pose, Problem, ProblemKind, Request, Response, Run, Set, Start, Status,
+};
 use freerig::daemon::client::{Client, ClientError};
 use freerig::daemon::{Access, Desk, Server, SocketError, desk, estop_path};
 use tempfile::TempDir;
@@ -128,6 +130,28 @@ async fn status_and_events_are_streamed() {
 
     server.stop().await;
     assert!(matches!(events.next().await, Ok(None)), "the streams end with the server");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_trackers_pose_is_checked_and_taken_only_by_a_run_that_follows_a_path() {
+    let Bench { desk, client, server: _server, folder: _folder, .. } = bench();
+    let pose = Pose { position_m: [1e-3, -2e-3, 0.13], deviation_m: 5e-4, ..Pose::default() };
+    let kind = async |pose: &Pose| match client.pose(pose).await {
+        Ok(_) => None,
+        Err(ClientError::Problem(problem)) => Some(problem.kind),
+        Err(other) => panic!("{other:?}"),
+    };
+    assert_eq!(kind(&pose).await, Some(ProblemKind::Refused));
+    desk.poses.want(true);
+    assert_eq!(kind(&pose).await, None);
+    let now = freerig::clock::Clock::Live.now();
+    assert_eq!(desk.poses.take(now).map(|seen| seen.position.x), Some(1e-3));
+    // What is not a number goes as `null` over the wire, and is refused there.
+    for wrong in [[f64::NAN, 0.0, 0.13], [0.0, 9.0, 0.13]] {
+        assert_eq!(kind(&Pose { position_m: wrong, ..pose }).await, Some(ProblemKind::Usage), "{wrong:?}");
+    }
+    assert_eq!(kind(&Pose { age_s: 0.3, ..pose }).await, Some(ProblemKind::Usage));
+    assert_eq!(desk.poses.take(now), None);
 }
 
 #[tokio::test(flavor = "multi_thread")]

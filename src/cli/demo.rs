@@ -12,9 +12,10 @@ use jiff::Zoned;
 use serde::Serialize;
 use tracing::level_filters::LevelFilter;
 
+use super::demo_whisk::{self, Whisks};
 use super::experiment::stepped;
 use super::outcome::{Outcome, Watch, degrees};
-use super::{Context, Failure, demo_whisk, log};
+use super::{Context, Failure, log};
 use crate::config::experiment::{Experiment, Kind};
 use crate::config::{Backend, Rig};
 use crate::control::ControllerKind;
@@ -53,7 +54,7 @@ struct Demo {
     /// On the stepped clock: published gains, then own.
     comparisons: Vec<Comparison>,
     /// The module's whisk on the stepped clock.
-    whisk: RunResult,
+    whisk: Whisks,
     /// One page for all of it.
     report: String,
     elapsed_s: f64,
@@ -110,7 +111,7 @@ pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
         EXPERIMENTS.iter().map(|(kind, gains)| compare(&rig, *kind, gains, context)).collect::<Result<Vec<_>, _>>()?;
 
     context.note(
-        "4. on the stepped clock: four FREEs under one plate draw a figure eight, as planned for their nominal module",
+        "4. on the stepped clock: four FREEs under one plate draw a figure eight: as planned for their nominal module, and led along it",
     );
     let whisk = demo_whisk::run(&rig.record.directory, context)?;
 
@@ -319,16 +320,15 @@ impl Demo {
                 "", margins[0], margins[1]
             ));
         }
-        if let Some(tip) = &self.whisk.tip {
+        for (name, run) in [("open loop", &self.whisk.open_loop), ("closed loop", &self.whisk.closed_loop)] {
+            let Some(tip) = &run.tip else { continue };
             let mm = |m: Option<f64>| m.map_or_else(|| "-".into(), |m| format!("{:.2} mm", 1e3 * m));
             let (rms, peak) = (mm(Some(tip.rms_error_m)), mm(Some(tip.peak_error_m)));
-            line(format!(
-                "{:<12} {:<22} {rms:>10} {peak:>10} {:>10}  {}",
-                "whisk", "plate, estimated", "-", self.whisk.outcome
-            ));
+            let what = format!("{name}, estimated");
+            line(format!("{:<12} {what:<22} {rms:>10} {peak:>10} {:>10}  {}", "whisk", "-", run.outcome));
             let (rms, peak) = (mm(tip.true_rms_error_m), mm(tip.true_peak_error_m));
-            line(format!("{:<12} {:<22} {rms:>10} {peak:>10} {:>10}", "", "plate, true (SIMULATED)", "-"));
-            line(format!("{:<12} report: {}/report.html", "", self.whisk.folder));
+            line(format!("{:<12} {:<22} {rms:>10} {peak:>10} {:>10}", "", "true (SIMULATED)", "-"));
+            line(format!("{:<12} report: {}/report.html", "", run.folder));
         }
         line(format!(
             "\ndone in {:.0} s. Every run with its report, its samples and its run.rrd is in runs/",

@@ -1,7 +1,9 @@
 //! The whisk of `freerig demo`: an eight, planned for the example module and run on the simulated one, whose FREEs are
-//! not quite the plan's.
+//! not quite the plan's: as it stands, and led along its path.
 
 use std::path::Path;
+
+use serde::Serialize;
 
 use super::experiment::stepped;
 use super::plan::example_whisk;
@@ -18,8 +20,17 @@ const FILES: [(&str, &str); 3] = [
     ("module-l.toml", include_str!("../../calibration/module-l.toml")),
 ];
 
-/// Plans the eight and runs it; its run goes to `runs`.
-pub fn run(runs: &Path, context: &Context) -> Result<RunResult, Failure> {
+/// The same plan on the same module.
+#[derive(Debug, Serialize)]
+pub struct Whisks {
+    /// The pressures as they were planned.
+    pub open_loop: RunResult,
+    /// The plate led along its path by its orientation and the model.
+    pub closed_loop: RunResult,
+}
+
+/// Plans the eight and runs it both ways; the runs go to `runs`.
+pub fn run(runs: &Path, context: &Context) -> Result<Whisks, Failure> {
     let folder = tempfile::tempdir()?;
     for (name, text) in FILES {
         std::fs::write(folder.path().join(name), text.replace("\"../../calibration\"", "\".\""))?;
@@ -27,8 +38,12 @@ pub fn run(runs: &Path, context: &Context) -> Result<RunResult, Failure> {
     let mut rig = Rig::load(&folder.path().join("rig.toml"))?;
     rig.record.directory = runs.to_owned();
     let whisk = example_whisk(&rig, context)?;
-    let experiment = Experiment::parse(Path::new("whisk.toml"), &whisk.to_toml(&[]), &rig, None)?;
-    let job = Job { note: "freerig demo".into(), stepped: true, ..Job::new(experiment, Attendance::Here) };
-    let outcome = stepped(&rig, &job)?;
-    Ok(outcome.done()?.clone())
+    let text = whisk.to_toml(&[]);
+    let with = |open_loop: bool| -> Result<RunResult, Failure> {
+        let experiment = Experiment::parse(Path::new("whisk.toml"), &text, &rig, None)?;
+        let note = "freerig demo".into();
+        let job = Job { note, stepped: true, open_loop, ..Job::new(experiment, Attendance::Here) };
+        Ok(stepped(&rig, &job)?.done()?.clone())
+    };
+    Ok(Whisks { open_loop: with(true)?, closed_loop: with(false)? })
 }

@@ -55,6 +55,17 @@ pub struct Args {
     seed: Option<u64>,
 }
 
+/// What a whisk takes.
+#[derive(Debug, clap::Args)]
+pub struct WhiskArgs {
+    #[command(flatten)]
+    pub plan: Args,
+    /// Run the plan's pressures as they stand; without it the plate is led along the plan's path, where the plan has one and
+    /// the plate an IMU
+    #[arg(long)]
+    pub open_loop: bool,
+}
+
 /// A course of values in place of a file.
 #[derive(Debug, clap::Args)]
 struct Flags {
@@ -78,8 +89,8 @@ struct Flags {
     gains: Option<String>,
 }
 
-/// Runs the experiment.
-pub fn run(kind: Kind, args: Args, context: &Context) -> Result<(), Failure> {
+/// Runs the experiment; `open_loop` is about a whisk.
+pub fn run(kind: Kind, args: Args, open_loop: bool, context: &Context) -> Result<(), Failure> {
     let mut rig = Rig::load(&context.rig)?;
     let (path, text) = args.text(kind)?;
     let free = args.free.as_deref();
@@ -103,6 +114,7 @@ pub fn run(kind: Kind, args: Args, context: &Context) -> Result<(), Failure> {
             note: args.note,
             hand: None,
             detach: args.detach,
+            open_loop,
             accept_margin: args.accept_margin,
         };
         return attend::run(&rig.socket.path, start, context);
@@ -116,7 +128,8 @@ pub fn run(kind: Kind, args: Args, context: &Context) -> Result<(), Failure> {
     if let Some(seed) = args.seed {
         rig.bench.seed = seed;
     }
-    let mut job = Job { accept_margin: args.accept_margin, stepped: true, ..Job::new(experiment, Attendance::Here) };
+    let mut job =
+        Job { accept_margin: args.accept_margin, stepped: true, open_loop, ..Job::new(experiment, Attendance::Here) };
     job.repeats = args.repeat.unwrap_or(job.repeats);
     job.note = args.note.unwrap_or(job.note);
     stepped(&rig, &job)?.tell(context)

@@ -126,7 +126,7 @@ enum Command {
     /// Quasi-static pressure up and down: twist against pressure with its hysteresis
     Sweep(experiment::Args),
     /// A module's whisk, as `freerig plan whisk` has written it
-    Whisk(experiment::Args),
+    Whisk(experiment::WhiskArgs),
     /// Measure what is not known of a FREE, and put it into its calibration
     Calibrate(calibrate::Args),
     /// Root locus; gains with the damping and the margins asked for
@@ -168,10 +168,10 @@ impl Command {
             Command::Clear(args) => clear::run(args, context),
             Command::Vent(args) => vent::run(args, context),
             Command::Set(args) => set::run(args, context),
-            Command::Step(args) => experiment::run(Kind::Step, args, context),
-            Command::Trajectory(args) => experiment::run(Kind::Trajectory, args, context),
-            Command::Sweep(args) => experiment::run(Kind::Sweep, args, context),
-            Command::Whisk(args) => experiment::run(Kind::Whisk, args, context),
+            Command::Step(args) => experiment::run(Kind::Step, args, false, context),
+            Command::Trajectory(args) => experiment::run(Kind::Trajectory, args, false, context),
+            Command::Sweep(args) => experiment::run(Kind::Sweep, args, false, context),
+            Command::Whisk(args) => experiment::run(Kind::Whisk, args.plan, args.open_loop, context),
             Command::Calibrate(args) => calibrate::run(args, context),
             Command::Tune(args) => tune::run(args, context),
             Command::Runs(args) => runs::run(args, context),

@@ -280,6 +280,7 @@ fn bench(raw: &RawRig) -> BenchConfig {
             frees: module.config.frees,
             scene: module.config.scene(|index| &raw.frees[index].calibration),
             damping: module.config.damping,
+            payload: module.config.payload,
         }),
         imu: ImuSim { delay: raw.sim.imu_delay, noise: raw.sim.imu_noise, rate_noise: raw.sim.imu_rate_noise },
         dump_valve: raw.sim.dump_valve,

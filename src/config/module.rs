@@ -25,6 +25,8 @@ pub struct ModuleConfig {
     pub gravity: Vector3<f64>,
     /// Damping ratio of the simulated plate's modes.
     pub damping: f64,
+    /// What hangs on the simulated plate beyond its mass, kg.
+    pub payload: f64,
 }
 
 impl ModuleConfig {
@@ -72,6 +74,7 @@ pub(super) fn read_module(root: &mut Section<'_>, i2c: &[RawI2c], frees: &[RawFr
     }
     let mut twin = section.section("sim");
     let damping = twin.number("damping_percent", 20.0, 1.0..=90.0);
+    let payload = 1e-3 * twin.number("payload_g", 0.0, 0.0..=5000.0);
     let members = members?;
     for index in members {
         let tube = frees[index].calibration.tube().0;
@@ -87,7 +90,7 @@ pub(super) fn read_module(root: &mut Section<'_>, i2c: &[RawI2c], frees: &[RawFr
         }
     }
     let gravity = Vector3::z() * (direction * GRAVITY);
-    Some(RawModule { config: ModuleConfig { frees: members, spacing, plate_mass, gravity, damping }, imu })
+    Some(RawModule { config: ModuleConfig { frees: members, spacing, plate_mass, gravity, damping, payload }, imu })
 }
 
 fn read_members(section: &mut Section<'_>, frees: &[RawFree]) -> Option<[usize; FREES]> {

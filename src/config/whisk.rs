@@ -84,6 +84,13 @@ impl Whisk {
         self.times.last().copied().unwrap_or(0.0)
     }
 
+    /// Where the plate's centre is to go, m: where it was wanted, or else where the model puts it; as many points as
+    /// times, or none.
+    pub fn path(&self) -> &[[f64; 3]] {
+        let whole = |points: &&Vec<[f64; 3]>| points.len() == self.times.len();
+        [&self.planned, &self.predicted].into_iter().find(whole).map_or(&[], |points| points)
+    }
+
     /// What is asked of the FREE `index` (0 to 3): up to the first pressure, the periods, and down again.
     fn axis(&self, index: usize) -> Option<Axis> {
         let column = || self.pressures.iter().map(|p| p[index]);

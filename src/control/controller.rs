@@ -18,6 +18,7 @@ use super::interlocks::{
 use super::lifecycle::{Faulting, Mode, Phase, Sight};
 use super::pid::{Band, Pid};
 use super::static_map::StaticMapError;
+use super::trim::trimmed;
 use super::{ControlConfig, FreeControl, Gains, Limits, Request, TickInput};
 use crate::clock::Time;
 use crate::signal::{
@@ -422,6 +423,7 @@ impl Controller {
             realtime: input.realtime,
             config_changed: input.config_changed,
             heartbeat: input.heartbeat,
+            trim: input.trim,
             program_time: self.phase.run().map_or(f64::NAN, |run| run.time(now)),
             latched: self.phase.latched(),
             vent: self.phase.vent(),
@@ -439,7 +441,7 @@ impl Controller {
                 Phase::Faulting(Faulting::Hold) => Wish::Freeze,
                 Phase::Armed(Mode::Run(run)) => {
                     let ahead = channel.forward.lead().map(|lead| run.program.reference(index, run.time(now) + lead));
-                    Wish::Follow(reference, ahead.unwrap_or(reference))
+                    Wish::Follow(trimmed(reference, &input.trim, index, now), ahead.unwrap_or(reference))
                 }
                 Phase::RampDown(ramp) | Phase::Faulting(Faulting::Ramp(ramp, _)) => {
                     Wish::Pressure(ramp.from[index] * ramp.level(now, self.ramp_time))

@@ -17,6 +17,7 @@ pub mod replay;
 pub mod root_locus;
 pub mod shaper;
 pub mod static_map;
+pub mod trim;
 pub mod tune;
 
 pub use controller::{ControlError, Controller};
@@ -28,7 +29,7 @@ use std::time::Duration;
 
 use crate::clock::Time;
 use crate::model::{Free, Hysteresis};
-use crate::signal::{ImuSample, MAX_FREES, PressureSample};
+use crate::signal::{ImuSample, MAX_FREES, PressureSample, Trim};
 use crate::trajectory::Program;
 
 /// PID gains, positive in the FREE's own direction.
@@ -232,4 +233,6 @@ pub struct TickInput {
     pub supply_low: bool,
     /// Latest heartbeat of the client that runs the program.
     pub heartbeat: Time,
+    /// What the model thread last added to a module's plan.
+    pub trim: Trim,
 }

@@ -93,5 +93,6 @@ pub fn input(recorded: &TickRecord, request: Option<Request>) -> TickInput {
         config_changed: recorded.config_changed,
         supply_low: recorded.supply_low,
         heartbeat: recorded.heartbeat,
+        trim: recorded.trim,
     }
 }

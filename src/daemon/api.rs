@@ -12,6 +12,7 @@
 //! | `POST /v1/start` | [`Start`] | [`Response`] with the run |
 //! | `POST /v1/profile` | [`ProfileOf`] | [`Response`] with the profile |
 //! | `POST /v1/heartbeat` | [`Heartbeat`] | [`Response`] |
+//! | `POST /v1/pose` | [`Pose`] | [`Response`] |
 //!
 //! The answer of a request that was not done is a [`Problem`], with a status of 400 or above.
 
@@ -464,9 +465,29 @@ pub struct Start {
     /// Go on without the client.
     #[serde(default)]
     pub detach: bool,
+    /// Run a module's plan as it stands, without following its path.
+    #[serde(default)]
+    pub open_loop: bool,
     /// Run even where the stability margin of the experiment's own gains is below the stated one.
     #[serde(default)]
     pub accept_margin: bool,
+}
+
+/// Where an external tracker sees the plate of the module that follows a path: in the module's frame, from the middle of
+/// the bases, z towards the plate. The latest counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Pose {
+    /// The plate's centre, m.
+    pub position_m: [f64; 3],
+    /// The plate's rotation from rest, unit quaternion; `null` where the tracker does not see it.
+    #[serde(default)]
+    pub quaternion_wxyz: Option<[f64; 4]>,
+    /// How long before the request it was seen, s.
+    #[serde(default)]
+    pub age_s: f64,
+    /// Standard deviation of each coordinate of the position, m.
+    pub deviation_m: f64,
 }
 
 /// Read the calibration profile that an IMU has found; only of a disarmed rig.

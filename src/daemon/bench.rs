@@ -7,7 +7,7 @@ use crate::clock::Time;
 use crate::control::Request;
 use crate::hardware::ProfileDesk;
 use crate::record::Recorder;
-use crate::signal::TickRecord;
+use crate::signal::{TickRecord, Trim};
 use crate::sim::Hand;
 
 use super::{DaemonError, Pump};
@@ -22,6 +22,9 @@ pub trait Bench {
     /// # Errors
     /// If too many requests wait already, or the loop has ended.
     fn request(&mut self, request: Request) -> Result<(), DaemonError>;
+
+    /// Adds `trim` to the pressures of the module's plan under way, in place of the one before.
+    fn trim(&mut self, trim: Trim);
 
     /// Lets `duration` pass.
     ///

@@ -54,6 +54,8 @@ pub(super) fn job(set: &Set, rig: &Rig, record: &TickRecord) -> Result<Job, Prob
         accept_margin: true,
         hand: None,
         whisk: None,
+        open_loop: false,
+        poses: Arc::default(),
         stepped: false,
         and_back: false,
         live: None,

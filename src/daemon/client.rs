@@ -16,7 +16,7 @@ use thiserror::Error;
 use tokio::net::UnixStream;
 use tokio::time::timeout;
 
-use super::api::{Arm, Event, Heartbeat, Problem, ProfileOf, Response, Set, Start, Status};
+use super::api::{Arm, Event, Heartbeat, Pose, Problem, ProfileOf, Response, Set, Start, Status};
 use super::socket::estop_path;
 
 /// Longest time for an answer; longer than the server waits for the supervisor.
@@ -132,6 +132,11 @@ impl Client {
     /// Says that the client that runs `run` is still there.
     pub async fn heartbeat(&self, run: &str) -> Result<Response, ClientError> {
         self.post("/v1/heartbeat", &Heartbeat { run: run.into() }).await
+    }
+
+    /// Says where an external tracker sees the plate of the module that follows a path.
+    pub async fn pose(&self, pose: &Pose) -> Result<Response, ClientError> {
+        self.post("/v1/pose", pose).await
     }
 
     /// The emergency stop: needs no runtime and waits for nobody. Connecting is the stop, so it has been done even

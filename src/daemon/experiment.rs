@@ -7,8 +7,9 @@ use std::time::Duration;
 
 use super::cycles::Counter;
 use super::error::DaemonError;
+use super::follow::{self, Follower, Guide};
 use super::procedure::{LOOK, Refusals, refused};
-use super::{Bench, margin};
+use super::{Bench, PoseDesk, margin};
 use crate::config::experiment::{Experiment, Kind};
 use crate::config::{Rig, SourceFile, Whisk};
 use crate::control::{Gains, Request};
@@ -16,7 +17,7 @@ use crate::record::{
     Backend, LiveFeed, ModuleDocument, Quota, RealtimeDocument, RecordOptions, Recorder, Repetition, Run, RunKind,
     RunResult, StartDocument, StopDocument, TubeDocument, WhiskDocument, sha256, write_report,
 };
-use crate::signal::{FaultCode, FaultSet, FreeTick, Quantity, RequestKind, State, TickRecord};
+use crate::signal::{FaultCode, FaultSet, FreeTick, Quantity, RequestKind, State, TickRecord, Trim};
 use crate::sim::Hand;
 use crate::trajectory::{Axis, Program, Segment, Sequence, Shape};
 
@@ -65,6 +66,10 @@ pub struct Job {
     pub stepped: bool,
     /// The plan of a whisk.
     pub whisk: Option<Whisk>,
+    /// Run the plan of a whisk as it stands, even where it could be followed in closed loop.
+    pub open_loop: bool,
+    /// Where an external tracker's poses of the plate come in.
+    pub poses: Arc<PoseDesk>,
     /// Take the pressures down after each run; by hand they stay.
     pub and_back: bool,
     /// Where the live view is fed, if it is to show the runs.
@@ -95,6 +100,8 @@ impl Job {
             hand: None,
             stepped: false,
             whisk: experiment.whisk,
+            open_loop: false,
+            poses: Arc::default(),
             and_back: true,
             live: None,
             stop: Arc::default(),
@@ -155,6 +162,8 @@ fn repeat<B: Bench>(
     job: &Job,
     watch: &mut dyn FnMut(&Progress<'_>),
 ) -> Result<Vec<Run>, DaemonError> {
+    let family = follow::family(rig, job)?;
+    let guide = family.as_ref().map(|family| Guide::new(rig, job, family)).transpose()?;
     let mut runs: Vec<Run> = Vec::new();
     let mut cycles = Counter::new(rig);
     for repeat in 1..=job.repeats {
@@ -163,7 +172,7 @@ fn repeat<B: Bench>(
             index: repeat,
             of: job.repeats,
         });
-        let run = once(bench, rig, job, (repeat, repetition), &mut cycles, watch)?;
+        let run = once(bench, rig, job, guide.as_ref(), (repeat, repetition), &mut cycles, watch)?;
         let done = run.stop().is_some_and(|s| s.result == RunResult::Done);
         runs.push(run);
         if !done || job.is_stopped() {
@@ -188,6 +197,7 @@ fn once<B: Bench>(
     bench: &mut B,
     rig: &Rig,
     job: &Job,
+    guide: Option<&Guide<'_>>,
     (repeat, repetition): (u32, Option<Repetition>),
     cycles: &mut Counter,
     watch: &mut dyn FnMut(&Progress<'_>),
@@ -200,6 +210,7 @@ fn once<B: Bench>(
     }
     let recorder = Recorder::create(&rig.record.directory, document(bench, rig, job, repetition), options)?;
     let (id, folder) = (recorder.id().to_owned(), recorder.folder().to_owned());
+    let mut follower = guide.map(|guide| Follower::new(rig, job, guide, &folder)).transpose()?;
     let mut tell = |phase, duration, record: &TickRecord| {
         let elapsed = if record.program_time.is_finite() { record.program_time } else { 0.0 };
         watch(&Progress { phase, run: (&id, &folder), repeat, elapsed, duration, record });
@@ -211,11 +222,13 @@ fn once<B: Bench>(
         if let Some(hand) = &job.hand {
             bench.pluck(job.subject, hand, Duration::try_from_secs_f64(job.program.duration).unwrap_or_default());
         }
-        drive(bench, rig, &job.program, job.attendance, job.hand.is_some(), &mut |record| {
+        let driven = Driven { program: &job.program, attendance: job.attendance, identify: job.hand.is_some() };
+        drive(bench, rig, &driven, follower.as_mut(), &mut |record| {
             cycles.see(record);
             tell("running", job.program.duration, record);
         })
     });
+    drop(follower);
     cycles.flush();
     let recorder = bench.detach();
     let lost_records = bench.with_pump(|p| p.lost_records()) - lost_before;
@@ -239,7 +252,8 @@ fn once<B: Bench>(
     let back = if over && job.and_back && !job.is_stopped() {
         back_to_zero(&bench.latest(), rig).and_then(|back| {
             let back = Arc::new(back);
-            drive(bench, rig, &back, job.attendance, false, &mut |record| {
+            let driven = Driven { program: &back, attendance: job.attendance, identify: false };
+            drive(bench, rig, &driven, None, &mut |record| {
                 cycles.see(record);
                 tell("taking the pressures down", back.duration, record);
             })
@@ -254,14 +268,33 @@ fn once<B: Bench>(
     Ok(run)
 }
 
-/// Starts `program`, to identify something or not, and watches it to its end: its own, or that of the recording, for
-/// nothing goes on that leaves no trace.
+/// A program on its way.
+struct Driven<'a> {
+    program: &'a Arc<Program>,
+    attendance: Attendance,
+    identify: bool,
+}
+
+/// Starts a program, to identify something or not, and watches it to its end: its own, or that of the recording, for
+/// nothing goes on that leaves no trace. `follower` leads a module's plate meanwhile.
 fn drive<B: Bench>(
     bench: &mut B,
     rig: &Rig,
-    program: &Arc<Program>,
-    attendance: Attendance,
-    identify: bool,
+    driven: &Driven<'_>,
+    follower: Option<&mut Follower<'_>>,
+    watch: &mut dyn FnMut(&TickRecord),
+) -> Result<RunResult, DaemonError> {
+    let ended = attend(bench, rig, driven, follower, watch);
+    // Nothing of this program's is added to the next one's.
+    bench.trim(Trim::default());
+    ended
+}
+
+fn attend<B: Bench>(
+    bench: &mut B,
+    rig: &Rig,
+    &Driven { program, attendance, identify }: &Driven<'_>,
+    mut follower: Option<&mut Follower<'_>>,
     watch: &mut dyn FnMut(&TickRecord),
 ) -> Result<RunResult, DaemonError> {
     let attended = attendance != Attendance::Detached;
@@ -282,6 +315,9 @@ fn drive<B: Bench>(
             return Err(refused(refusal, rig));
         }
         let latest = bench.latest();
+        if let Some(trim) = follower.as_mut().and_then(|follower| follower.turn(&latest)) {
+            bench.trim(trim);
+        }
         watch(&latest);
         if !given_up && bench.with_pump(|p| p.recording_failed()) && latest.state.is_armed() {
             bench.request(Request::Stop)?;
@@ -341,7 +377,7 @@ fn document<B: Bench>(bench: &mut B, rig: &Rig, job: &Job, repetition: Option<Re
     start.seed = rig.is_simulated().then_some(rig.bench.seed);
     start.repetition = repetition;
     start.program = Some((*job.program).clone());
-    start.whisk = job.whisk.as_ref().map(WhiskDocument::of);
+    start.whisk = job.whisk.as_ref().map(|whisk| WhiskDocument::of(whisk, follow::path(rig, job).is_some()));
     start.module = ModuleDocument::of(rig);
     start.rig_sha256 = rig.files.first().map(|f| sha256(f.text.as_bytes())).unwrap_or_default();
     start.realtime = RealtimeDocument {

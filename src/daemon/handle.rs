@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use tokio::sync::{broadcast, mpsc, oneshot, watch};
 
+use super::PoseDesk;
 use super::api::{Event, Problem, Request, Response, Status};
 use crate::clock::Time;
 
@@ -25,6 +26,8 @@ pub struct Handle {
     pub estop: Arc<AtomicBool>,
     /// Latest heartbeat of the client that runs an experiment.
     pub heartbeat: Arc<LastHeard>,
+    /// Poses of a module's plate, for the run that follows a path.
+    pub poses: Arc<PoseDesk>,
 }
 
 /// When something was last heard of, on the live clock.
@@ -56,6 +59,8 @@ pub struct Desk {
     pub estop: Arc<AtomicBool>,
     /// Latest heartbeat of the client that runs an experiment.
     pub heartbeat: Arc<LastHeard>,
+    /// Poses of a module's plate, for the run that follows a path.
+    pub poses: Arc<PoseDesk>,
 }
 
 /// Requests that may wait for the supervisor, and events that may wait for a reader.
@@ -69,12 +74,14 @@ pub fn desk(status: Status) -> (Desk, Handle) {
     let (requests, requests_out) = mpsc::channel(REQUESTS);
     let estop = Arc::new(AtomicBool::new(false));
     let heartbeat = Arc::new(LastHeard::default());
+    let poses = Arc::<PoseDesk>::default();
     let desk = Desk {
         status: status_in,
         events: events.clone(),
         requests: requests_out,
         estop: Arc::clone(&estop),
         heartbeat: Arc::clone(&heartbeat),
+        poses: Arc::clone(&poses),
     };
-    (desk, Handle { status, events, requests, estop, heartbeat })
+    (desk, Handle { status, events, requests, estop, heartbeat, poses })
 }

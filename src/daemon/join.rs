@@ -11,7 +11,7 @@ use crate::clock::Clock;
 use crate::config::{Cache, Rig};
 use crate::control::{Controller, Request};
 use crate::hardware::I2cPorts;
-use crate::signal::{Command, ImuSample, MAX_FREES, PressureSample};
+use crate::signal::{Command, ImuSample, MAX_FREES, PressureSample, Trim};
 use crate::sim::{Plant, SimRig};
 
 /// Records that the ring holds: 8 s at 500 Hz, so that a stall of the recorder loses none.
@@ -29,6 +29,8 @@ pub struct Joints {
     pub pump: Pump,
     /// For the supervisor.
     pub requests: Producer<Request>,
+    /// For whoever follows a path with a module.
+    pub trim: Input<Trim>,
     /// Switches that the tick reads.
     pub switches: Arc<Switches>,
     /// By I2C bus of the wiring.
@@ -104,6 +106,7 @@ pub fn join(rig: &Rig, plant: Option<Arc<Mutex<Plant>>>, switches: Switches) -> 
         .map(|line| (command(), line.units.iter().map(|unit| pressure_slot(unit.free)).collect()))
         .collect();
     let valve = rig.control.dump_valve.then(&mut command);
+    let (trim_in, trim_out) = triple_buffer(&Trim::default());
     let (record_in, record_out) = RingBuffer::new(RECORDS);
     let (request_in, request_out) = RingBuffer::new(REQUESTS);
     let (retired_in, retired_out) = RingBuffer::new(RETIRED);
@@ -112,11 +115,12 @@ pub fn join(rig: &Rig, plant: Option<Arc<Mutex<Plant>>>, switches: Switches) -> 
         imu,
         pressure,
         commands,
+        trim: trim_out,
         requests: request_out,
         records: record_in,
         retired: retired_in,
         switches: Arc::clone(&switches),
     };
     let pump = Pump::new(record_out, retired_out, Arc::clone(&switches), plant);
-    Ok(Joints { tick, pump, requests: request_in, switches, i2c, serial, valve })
+    Ok(Joints { tick, pump, requests: request_in, trim: trim_in, switches, i2c, serial, valve })
 }

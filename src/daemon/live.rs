@@ -6,6 +6,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use rtrb::Producer;
+use triple_buffer::Input;
 
 use super::join::{Joints, join, simulated};
 use super::stepped::{Profiles, contacts, detached, lock, note_profiles};
@@ -20,7 +21,7 @@ use crate::hardware::wiring::GpioWiring;
 use crate::hardware::{DeviceStatistics, DumpValve, I2cOwner, ProfileDesk, SerialOwner, ValveOwner, i2c, serial};
 use crate::record::Recorder;
 use crate::rt;
-use crate::signal::{FreeTick, RegulatorHealth, TickRecord};
+use crate::signal::{FreeTick, RegulatorHealth, TickRecord, Trim};
 use crate::sim::chips::Pty;
 use crate::sim::{Hand, Plant, SimRig};
 
@@ -67,6 +68,7 @@ pub struct Live {
 pub struct LiveBench {
     pump: Arc<Mutex<Pump>>,
     requests: Arc<Mutex<Producer<Request>>>,
+    trim: Arc<Mutex<Input<Trim>>>,
     switches: Arc<Switches>,
     statistics: Arc<rt::Statistics>,
     clock: Clock,
@@ -85,7 +87,7 @@ impl Live {
         let clock = Clock::Live;
         let sim = rig.is_simulated().then(|| simulated(rig, &clock)).transpose()?;
         let joints = join(rig, sim.as_ref().map(SimRig::plant), switches)?;
-        let Joints { mut tick, pump, requests, switches, i2c, serial, valve } = joints;
+        let Joints { mut tick, pump, requests, trim, switches, i2c, serial, valve } = joints;
         let timeout = rig.wiring.command_timeout;
         let stop_owners = Arc::new(AtomicBool::new(false));
         let promote = promotion(rig.realtime.priority);
@@ -213,6 +215,7 @@ impl Live {
         let bench = LiveBench {
             pump,
             requests: Arc::new(Mutex::new(requests)),
+            trim: Arc::new(Mutex::new(trim)),
             switches,
             statistics,
             clock,
@@ -378,6 +381,10 @@ impl Bench for LiveBench {
 
     fn request(&mut self, request: Request) -> Result<(), DaemonError> {
         lock(&self.requests).push(request).map_err(|_| DaemonError::Busy)
+    }
+
+    fn trim(&mut self, trim: Trim) {
+        lock(&self.trim).write(trim);
     }
 
     fn pass(&mut self, duration: Duration) -> Result<(), DaemonError> {

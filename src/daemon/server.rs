@@ -24,11 +24,12 @@ use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
 use super::api::{
-    Arm, Event, Happening, Heartbeat, Problem, ProblemKind, ProfileOf, Request, Response, Set, Start, Status,
+    Arm, Event, Happening, Heartbeat, Pose, Problem, ProblemKind, ProfileOf, Request, Response, Set, Start, Status,
 };
 use super::connection::Door;
 use super::estop::EstopDoor;
 use super::handle::Handle;
+use super::pose::Sighting;
 use super::socket::{Access, Peer, SocketError, SocketFile, check_free, listen};
 use crate::clock::Clock;
 
@@ -127,6 +128,7 @@ fn routes(office: Arc<Office>) -> Router {
             post(async |State(office): Shared, Read(of): Read<ProfileOf>| office.ask(Request::Profile(of)).await),
         )
         .route("/v1/heartbeat", post(heartbeat))
+        .route("/v1/pose", post(pose))
         .route("/v1/estop", post(estop))
         .fallback(async || Problem::new(ProblemKind::NotFound, "there is nothing at this address", ROUTES))
         .method_not_allowed_fallback(async || {
@@ -136,7 +138,7 @@ fn routes(office: Arc<Office>) -> Router {
         .with_state(office)
 }
 
-const ROUTES: &str = "GET /v1/status, /v1/status/stream, /v1/events; POST /v1/arm, disarm, clear, set, start, stop, profile, heartbeat, estop";
+const ROUTES: &str = "GET /v1/status, /v1/status/stream, /v1/events; POST /v1/arm, disarm, clear, set, start, stop, profile, heartbeat, pose, estop";
 
 /// Lets in whoever may control the rig, for one request.
 async fn admit(
@@ -195,6 +197,18 @@ async fn set(State(office): Shared, Read(set): Read<Set>) -> Answer {
         return Err(Problem::new(ProblemKind::Usage, error, "give one of the two"));
     }
     office.ask(Request::Set(set)).await
+}
+
+async fn pose(State(office): Shared, Read(pose): Read<Pose>) -> Answer {
+    let sighting = Sighting::of(&pose, Clock::Live.now())
+        .map_err(|error| Problem::new(ProblemKind::Usage, error, "send what is seen now, as the README describes"))?;
+    let poses = &office.handle.poses;
+    if !poses.is_wanted() {
+        let remedy = "start `freerig whisk` with a plan that has a path, and without --open-loop";
+        return Err(Problem::new(ProblemKind::Refused, "no run follows a path", remedy));
+    }
+    poses.put(sighting);
+    Ok(Json(Response::done("seen")))
 }
 
 async fn heartbeat(State(office): Shared, Read(heartbeat): Read<Heartbeat>) -> Answer {

@@ -13,6 +13,7 @@ use std::task::{Context, Waker};
 use std::time::Duration;
 
 use rtrb::Producer;
+use triple_buffer::Input;
 
 use super::join::{Joints, join, simulated};
 use super::tick::{Switches, Tick};
@@ -24,7 +25,7 @@ use crate::hardware::gpio::{Contact, ContactWatch, GpioValve};
 use crate::hardware::{I2cOwner, ProfileDesk, SerialOwner, ValveOwner};
 use crate::record::Recorder;
 use crate::rt::{Schedule, Timing};
-use crate::signal::TickRecord;
+use crate::signal::{TickRecord, Trim};
 use crate::sim::chips::SimI2c;
 use crate::sim::{Hand, SimInput, SimOutput, SimRig};
 
@@ -69,6 +70,7 @@ pub struct Stepped {
     late: Duration,
     pump: Pump,
     requests: Producer<Request>,
+    trim: Input<Trim>,
     switches: Arc<Switches>,
     profiles: Profiles,
 }
@@ -84,7 +86,7 @@ impl Stepped {
     pub fn new(rig: &Rig) -> Result<Self, DaemonError> {
         let stepper = Stepper::new();
         let sim = simulated(rig, &stepper.clock())?;
-        let Joints { tick, pump, requests, switches, i2c, serial, valve } =
+        let Joints { tick, pump, requests, trim, switches, i2c, serial, valve } =
             join(rig, Some(sim.plant()), Switches::default())?;
         let timeout = rig.wiring.command_timeout;
         let stop = Arc::new(AtomicBool::new(false));
@@ -128,6 +130,7 @@ impl Stepped {
             tick,
             pump,
             requests,
+            trim,
             switches,
             profiles,
         })
@@ -200,6 +203,10 @@ impl Bench for Stepped {
 
     fn request(&mut self, request: Request) -> Result<(), DaemonError> {
         self.requests.push(request).map_err(|_| DaemonError::Busy)
+    }
+
+    fn trim(&mut self, trim: Trim) {
+        self.trim.write(trim);
     }
 
     fn pass(&mut self, duration: Duration) -> Result<(), DaemonError> {

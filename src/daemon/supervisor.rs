@@ -452,6 +452,8 @@ impl Supervisor {
         job.repeats = start.repeat.unwrap_or(job.repeats).max(1);
         job.note = start.note.clone().unwrap_or(job.note);
         job.hand = start.hand.clone();
+        job.open_loop = start.open_loop;
+        job.poses = Arc::clone(&self.desk.poses);
         Ok(job)
     }
 

@@ -10,7 +10,7 @@ use triple_buffer::{Input, Output};
 use super::handle::LastHeard;
 use crate::control::{Controller, Request, TickInput};
 use crate::rt::Timing;
-use crate::signal::{Command, ImuSample, MAX_FREES, PressureSample, TickRecord};
+use crate::signal::{Command, ImuSample, MAX_FREES, PressureSample, TickRecord, Trim};
 use crate::trajectory::Program;
 
 /// Switches that other threads throw and the tick reads.
@@ -38,6 +38,7 @@ pub struct Tick {
     pub(super) imu: [Option<Output<ImuSample>>; MAX_FREES],
     pub(super) pressure: [Option<Output<PressureSample>>; MAX_FREES],
     pub(super) commands: Vec<Input<Command>>,
+    pub(super) trim: Output<Trim>,
     pub(super) requests: Consumer<Request>,
     pub(super) records: Producer<TickRecord>,
     pub(super) retired: Producer<Arc<Program>>,
@@ -81,6 +82,7 @@ impl Tick {
             config_changed: self.switches.config_changed.load(Ordering::Relaxed),
             supply_low: self.switches.supply_low.load(Ordering::Acquire),
             heartbeat: self.switches.heartbeat.get(),
+            trim: *self.trim.read(),
         };
         for (sample, slot) in input.imu.iter_mut().zip(&mut self.imu) {
             if let Some(slot) = slot {
@@ -123,6 +125,7 @@ mod tests {
         serial: Vec<(Output<Command>, Vec<Input<PressureSample>>)>,
         valve: Option<Output<Command>>,
         requests: Producer<Request>,
+        trim: Input<Trim>,
         pump: super::super::Pump,
         switches: Arc<Switches>,
         ticks: u32,
@@ -133,9 +136,9 @@ mod tests {
         fn new() -> Self {
             let rig =
                 Rig::load(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/rig.toml"))).expect("rig.toml is clean");
-            let Joints { tick, pump, requests, switches, i2c, serial, valve } =
+            let Joints { tick, pump, requests, trim, switches, i2c, serial, valve } =
                 join(&rig, None, Switches::default()).unwrap();
-            Self { tick, i2c, serial, valve, requests, pump, switches, ticks: 0, pressure: 0.0 }
+            Self { tick, i2c, serial, valve, requests, trim, pump, switches, ticks: 0, pressure: 0.0 }
         }
 
         /// New readings in every slot, one tick under guard, and what the owners find in their slots.
@@ -211,6 +214,15 @@ mod tests {
                 bench.turn();
             }
             assert_eq!(bench.turn().pressure[0], 2e4);
+            // A trim comes, is no number, and grows old.
+            let mut with = |pressure: f64| {
+                let time = Time::ZERO + Duration::from_millis(2) * bench.ticks;
+                bench.trim.write(Trim { time, pressure: [pressure; MAX_FREES] });
+                (0..200).map(|_| bench.turn().pressure[0]).collect::<Vec<_>>()
+            };
+            let commands = with(-1e3);
+            assert!(commands[10] == 1.9e4 && commands[100] > 1.9e4 && commands[100] < 2e4 && commands[199] == 2e4);
+            assert!(with(f64::NAN).iter().all(|command| *command == 2e4));
             bench.requests.push(Request::Stop).unwrap();
             bench.run_until(State::Hold);
         }

@@ -17,6 +17,7 @@
 //! **Redundancy.** A point takes three of the four pressures' freedoms (to first order the fourth turns the plate). It
 //! goes to the largest smooth margin among the pressures that put the plate on the target.
 
+pub mod belief;
 pub mod design;
 pub mod end;
 mod error;
@@ -27,8 +28,10 @@ mod limits;
 mod margin;
 pub mod observer;
 pub mod path;
+pub mod pursuit;
 mod quadratic;
 mod rest;
+pub mod scatter;
 mod search;
 pub mod study;
 mod target;

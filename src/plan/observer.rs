@@ -12,7 +12,7 @@
 //! and the motion that goes with a rotation off by `d` is the linear estimate `S_xr (S_rr + noise^2)^-1 d`; what of
 //! the position it leaves unknown is `S_xx - S_xr (S_rr + noise^2)^-1 S_rx`.
 
-use nalgebra::{Matrix3, Matrix6, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Matrix6, Quaternion, UnitQuaternion, Vector3};
 
 use crate::fem::module::State;
 
@@ -36,6 +36,17 @@ impl Default for Unknown {
 
 /// The arm on which a stray force is a moment, m.
 const ARM: f64 = 0.01;
+
+/// How a module's plate has turned from rest, from its sensor's quaternions (w, x, y, z) then and `now`; `axis` is the
+/// plate's normal in the sensor's frame. None of what is no orientation.
+pub fn turned(axis: [f64; 3], rest: [f64; 4], now: [f64; 4]) -> Option<UnitQuaternion<f64>> {
+    let unit = |[w, x, y, z]: [f64; 4]| UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 0.5);
+    let (rest, now) = (unit(rest)?, unit(now)?);
+    // From the module's frame to that of its sensor at rest; opposite directions have no short way.
+    let sensor = UnitQuaternion::rotation_between(&Vector3::z(), &axis.into())
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+    Some(sensor.inverse() * (rest.inverse() * now) * sensor)
+}
 
 /// An estimate of the plate's centre.
 #[derive(Clone, Copy, Debug, PartialEq)]

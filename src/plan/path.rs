@@ -214,7 +214,7 @@ fn first_interval(times: &[f64]) -> f64 {
     if times.len() > 1 { times[1] - times[0] } else { f64::INFINITY }
 }
 
-fn rising(times: &[f64], samples: usize) -> Result<(), PlanError> {
+pub(super) fn rising(times: &[f64], samples: usize) -> Result<(), PlanError> {
     if samples == 0 || times.len() != samples {
         let rule = "must be the number of samples, at least one";
         return Err(PlanError::invalid("the number of times", times.len() as f64, rule));

@@ -44,6 +44,7 @@ fn visit(v: &mut impl Visitor, t: f64, record: &mut TickRecord, truth: Option<&m
         config_changed,
         supply_low,
         heartbeat,
+        trim,
         refusal,
         program_time,
         latched,
@@ -73,8 +74,10 @@ fn visit(v: &mut impl Visitor, t: f64, record: &mut TickRecord, truth: Option<&m
     v.word("", "latched_faults", &mut latched.0);
     v.word("", "rig_faults", &mut faults.0);
     v.flag("", "vent", vent);
-    for (name, free) in names.iter().zip(frees.iter_mut()) {
+    visit_time(v, "", "trim_time_ns", &mut trim.time);
+    for ((name, free), trim) in names.iter().zip(frees.iter_mut()).zip(&mut trim.pressure) {
         visit_free(v, name, free);
+        v.float(name, "trim_pa", trim);
     }
     if let Some(truth) = truth {
         for (name, Truth { angle, extension, pressure, position: [x, y, z] }) in names.iter().zip(truth) {

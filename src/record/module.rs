@@ -1,20 +1,21 @@
 //! The module and the whisk in a run's start document, and the way of the plate in a run: wanted, predicted, estimated
 //! and, simulated, true.
 
-use nalgebra::{Quaternion, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::Result;
 use super::columns::column_name;
 use super::run::Run;
 use super::signals::interpolate;
+use super::tip::{self, TipLine};
 use super::tube::TubeDocument;
 use crate::config::{Cache, Rig, Whisk};
 use crate::fem::module::{Free, Module, ModuleScene, State};
 use crate::fem::rod::Resolution;
 use crate::fem::section::Mesh;
 use crate::plan::Rest;
-use crate::plan::observer::{Unknown, tip};
+use crate::plan::observer::{Unknown, tip, turned};
 
 /// Columns of the first FREE that tell the plate's orientation, and what it really is.
 const TARE: [&str; 4] = ["tare_qw", "tare_qx", "tare_qy", "tare_qz"];
@@ -84,12 +85,6 @@ impl ModuleDocument {
         let module = scene.module(Mesh::default(), self.highest_pressure_pa, Resolution::DEFAULT, law).ok()?;
         Some((module, scene))
     }
-
-    /// From the module's frame to that of its sensor at rest.
-    fn sensor(&self) -> UnitQuaternion<f64> {
-        UnitQuaternion::rotation_between(&Vector3::z(), &self.imu_axis.into())
-            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
-    }
 }
 
 /// The plate's centre at these pressures, Pa, and, where it is known, this rotation. `state` follows the pressures, as
@@ -110,6 +105,9 @@ fn estimate(
 /// A plan that was run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct WhiskDocument {
+    /// Followed in closed loop.
+    #[serde(default)]
+    pub closed_loop: bool,
     pub periods: u32,
     pub lead_s: f64,
     pub times_s: Vec<f64>,
@@ -120,9 +118,10 @@ pub struct WhiskDocument {
 }
 
 impl WhiskDocument {
-    /// The document of `whisk`.
-    pub fn of(whisk: &Whisk) -> WhiskDocument {
+    /// The document of `whisk`, followed in closed loop or run as it stands.
+    pub fn of(whisk: &Whisk, closed_loop: bool) -> WhiskDocument {
         WhiskDocument {
+            closed_loop,
             periods: whisk.periods,
             lead_s: whisk.lead,
             times_s: whisk.times.clone(),
@@ -156,7 +155,8 @@ pub struct TipPath {
     pub planned: Vec<Option<Vector3<f64>>>,
     /// Where the plan's model put it.
     pub predicted: Vec<Option<Vector3<f64>>>,
-    /// From the measured pressures and the plate's rotation.
+    /// What the run itself held it to be, where it followed a path; else from the measured pressures and the plate's
+    /// rotation.
     pub estimated: Vec<Option<Vector3<f64>>>,
     /// Of the simulated rig.
     pub truth: Vec<Option<Vector3<f64>>>,
@@ -205,11 +205,11 @@ impl TipPath {
         let get = |name: &str, column: &str| table.get(&column_name(name, column));
         let times = table.get("program_time_s");
         let mut path = TipPath::default();
+        let held = tip::read(&run.folder)?.map(HeldPath::of);
         // Without its law the module has no estimate, and the rest of the way stands.
-        let built = module.module();
+        let built = if held.is_none() { module.module() } else { None };
         let rest = built.as_ref().and_then(|(module, scene)| Rest::new(module, &scene.loads([0.0; 4])).ok());
         let mut state = rest.as_ref().map(|rest| rest.state().clone());
-        let turn = module.sensor();
         let mut next = f64::NEG_INFINITY;
         for (row, &t) in times.iter().enumerate() {
             if t.is_nan() || t < next {
@@ -223,23 +223,40 @@ impl TipPath {
                 if measured.is_finite() { measured } else { value(name, "command_pa") }
             };
             let pressures: Vec<f64> = names.iter().map(pressure).collect();
-            let quaternion = |of: [&str; 4]| {
-                let [w, x, y, z] = of.map(|column| value(a, column));
-                UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 0.5)
-            };
-            let tare = quaternion(TARE);
-            let now = quaternion(NOW);
-            // From its tare on, in its own frame at the tare: that is the module's, but for how it sits on the plate.
-            let rotation = tare.zip(now).map(|(tare, now)| turn.inverse() * (tare.inverse() * now) * turn);
+            let quaternion = |of: [&str; 4]| of.map(|column| value(a, column));
+            let rotation = turned(module.imu_axis, quaternion(TARE), quaternion(NOW));
             path.t.push(t);
             path.planned.push(start.whisk.as_ref().and_then(|w| w.at(&w.planned_m, t)));
             path.predicted.push(start.whisk.as_ref().and_then(|w| w.at(&w.predicted_m, t)));
-            path.estimated.push(rest.as_ref().zip(state.as_mut()).and_then(|(rest, state)| {
-                let pressures: [f64; 4] = pressures.try_into().ok()?;
-                estimate(rest, state, &pressures, rotation)
-            }));
+            if let Some(held) = &held {
+                path.estimated.push(held.at(t));
+            } else {
+                path.estimated.push(rest.as_ref().zip(state.as_mut()).and_then(|(rest, state)| {
+                    let pressures: [f64; 4] = pressures.try_into().ok()?;
+                    estimate(rest, state, &pressures, rotation)
+                }));
+            }
             path.truth.push(known(TRUTH.map(|column| value(a, column))));
         }
         Ok(Some(path))
+    }
+}
+
+/// Where a run held the plate to be.
+struct HeldPath {
+    times: Vec<f64>,
+    axes: [Vec<f64>; 3],
+}
+
+impl HeldPath {
+    fn of(lines: Vec<TipLine>) -> HeldPath {
+        let axis = |i: usize| lines.iter().map(|line| line.position[i]).collect();
+        HeldPath { times: lines.iter().map(|line| line.time).collect(), axes: [axis(0), axis(1), axis(2)] }
+    }
+
+    /// At the program's time `t`; none before its beginning and after its end.
+    fn at(&self, t: f64) -> Option<Vector3<f64>> {
+        let known = *self.times.first()? <= t && t <= *self.times.last()?;
+        known.then(|| Vector3::from_fn(|i, _| interpolate(&self.times, &self.axes[i], t)))
     }
 }

@@ -55,7 +55,7 @@ pub fn html(run: &Run) -> Result<String> {
     page.raw("</header><main>");
 
     if let Some(path) = &tip {
-        tip_section(&mut page, path, metrics.tip, start.simulated())?;
+        tip_section(&mut page, path, metrics.tip, start)?;
     }
     for ((signals, prediction), metrics) in signals.iter().zip(&predictions).zip(&metrics.frees) {
         free_section(&mut page, run, signals, prediction, metrics)?;
@@ -100,13 +100,16 @@ fn ending(stop: &StopDocument, signals: &[Signals]) -> String {
 }
 
 /// The way of a module's plate.
-fn tip_section(page: &mut Page, path: &TipPath, metrics: Option<TipMetrics>, simulated: bool) -> Result<()> {
+fn tip_section(page: &mut Page, path: &TipPath, metrics: Option<TipMetrics>, start: &StartDocument) -> Result<()> {
     page.raw("<section><h2>Plate</h2><div class=\"cards\">");
     let mm = |m: f64| format!("{:.3} mm", 1e3 * m);
+    if let Some(whisk) = &start.whisk {
+        page.card("path", if whisk.closed_loop { "followed in closed loop" } else { "as planned, open loop" });
+    }
     if let Some(TipMetrics { estimated, truth }) = metrics {
         page.card("RMS error, estimated", &mm(estimated.rms));
         page.card("peak error, estimated", &mm(estimated.peak));
-        if let Some(truth) = truth.filter(|_| simulated) {
+        if let Some(truth) = truth.filter(|_| start.simulated()) {
             page.card("RMS error, true (SIMULATED)", &mm(truth.rms));
             page.card("peak error, true (SIMULATED)", &mm(truth.peak));
         }

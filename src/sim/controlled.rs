@@ -164,6 +164,7 @@ impl Controlled {
                 config_changed: false,
                 supply_low: false,
                 heartbeat: at,
+                trim: Trim::default(),
             },
             command: 0.0,
             last: State::Boot,

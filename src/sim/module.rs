@@ -24,14 +24,17 @@ pub struct ModuleSim {
     pub scene: ModuleScene,
     /// Damping ratio of the plate's modes, above 0 and below 1.
     pub damping: f64,
+    /// What hangs on the plate beyond its mass, kg, and nobody has said.
+    pub payload: f64,
 }
 
 impl ModuleSim {
-    /// The module that is really there: wall and rubber of each FREE are off by its scatter, drawn from the bench's seed,
+    /// The module that is really there, with its payload: wall and rubber of each FREE are off by its scatter, drawn from the bench's seed,
     /// and the winding angle by a degree where they are by 5 %. Lengths and places are measured when a module is built,
     /// and are right.
     pub fn true_scene(&self, bench: &BenchConfig) -> ModuleScene {
         let mut scene = self.scene.clone();
+        scene.plate_mass += self.payload;
         for (free, &index) in scene.frees.iter_mut().zip(&self.frees) {
             let scatter = bench.plants.get(index).map_or(0.0, |plant| plant.scatter);
             let mut rng = Pcg64::seed_from_u64(bench.seed.wrapping_mul(2003).wrapping_add(index as u64));

@@ -159,6 +159,7 @@ impl Rig {
                 config_changed: false,
                 supply_low: false,
                 heartbeat: Time::ZERO,
+                trim: Trim::default(),
             },
             last: TickRecord::default(),
             records: Vec::with_capacity(20_000),

@@ -87,6 +87,7 @@ impl Ideal {
             config_changed: false,
             supply_low: false,
             heartbeat: time,
+            trim: Trim::default(),
         };
         let sequence = self.tick as u32;
         input.imu[0] = ImuSample {

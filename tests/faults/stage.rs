@@ -12,7 +12,7 @@ use freerig::control::fault::{Reaction, row};
 use freerig::daemon::{Bench, DaemonError, Pump, Stepped, procedure};
 use freerig::record::Recorder;
 use freerig::signal::Quantity;
-use freerig::signal::{FaultCode, FaultSet, State, TickRecord};
+use freerig::signal::{FaultCode, FaultSet, State, TickRecord, Trim};
 use freerig::sim::chips::{Mischief, SerialLine};
 use freerig::sim::{Plant, PlantFault};
 use freerig::trajectory::{Axis, Program, Sequence, Shape};
@@ -335,6 +335,10 @@ impl Bench for Stage {
 
     fn request(&mut self, request: Request) -> Result<(), DaemonError> {
         self.bench.request(request)
+    }
+
+    fn trim(&mut self, trim: Trim) {
+        self.bench.trim(trim);
     }
 
     fn pass(&mut self, duration: Duration) -> Result<(), DaemonError> {

@@ -168,6 +168,7 @@ fn by_hand(
         stepped(rig, &job)?
     } else {
         let start = Start {
+            open_loop: false,
             kind: "sweep".into(),
             experiment: text.into(),
             free: Some(name.clone()),

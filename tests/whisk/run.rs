@@ -1,9 +1,8 @@
-//! The whisk of a module: planned, written, read, run on the simulated module, and told.
+//! Plans as files, and as they stand.
 
 use std::fs;
 use std::path::Path;
 
-use freerig::config::experiment::Experiment;
 use freerig::config::{Rig, Whisk};
 use freerig::daemon::api::RunResult;
 use freerig::daemon::experiment::{Attendance, Job, run};
@@ -12,23 +11,7 @@ use freerig::record::{Apart, Run, TipPath};
 use freerig::units::PASCAL_PER_PSI as PSI;
 use tempfile::TempDir;
 
-/// The example module with other values: each a text of its rig.toml and what takes its place.
-fn rig(changes: &[(&str, &str)]) -> (TempDir, Rig) {
-    let folder = TempDir::new().unwrap();
-    let calibrations = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration");
-    let mut text = fs::read_to_string("experiments/module/rig.toml").unwrap();
-    let runs = folder.path().join("runs");
-    text = text.replace("\"../../calibration\"", &format!("{calibrations:?}"));
-    text = text.replacen("[loop]", &format!("[record]\ndirectory = {runs:?}\nlive_view = false\n\n[loop]"), 1);
-    for (from, to) in changes {
-        assert!(text.contains(from), "{from}");
-        text = text.replace(from, to);
-    }
-    let path = folder.path().join("rig.toml");
-    fs::write(&path, text).unwrap();
-    let rig = Rig::load(&path).unwrap_or_else(|error| panic!("{error}"));
-    (folder, rig)
-}
+use crate::harness::{parse, rig};
 
 /// A small circle of pressures about 3 psi.
 fn circle() -> Whisk {
@@ -39,10 +22,6 @@ fn circle() -> Whisk {
     };
     let pressures = times.iter().map(|t| std::array::from_fn(|free| at(*t, free))).collect();
     Whisk { name: "circle".into(), periods: 1, lead: 2.0, times, pressures, ..Whisk::default() }
-}
-
-fn parse(text: &str, rig: &Rig) -> Result<Experiment, String> {
-    Experiment::parse(Path::new("whisk.toml"), text, rig, None).map_err(|error| error.to_string())
 }
 
 fn carry_out(rig: &Rig, whisk: &Whisk) -> Run {
