@@ -1,5 +1,5 @@
-//! The whisk of `freerig demo`: an eight, planned for the example module and run on the simulated one, whose FREEs are
-//! not quite the plan's.
+//! The scene of `freerig demo`: a module whisks an eight, planned for the nominal one, while a fifth FREE turns the knob
+//! of the cooktop; on the simulated rig, whose FREEs are not quite the plan's.
 
 use std::path::Path;
 
@@ -11,14 +11,18 @@ use crate::config::experiment::Experiment;
 use crate::daemon::api::RunResult;
 use crate::daemon::experiment::{Attendance, Job};
 
-/// The example module: its rig and the calibrations of its FREEs.
-const FILES: [(&str, &str); 3] = [
-    ("rig.toml", include_str!("../../experiments/module/rig.toml")),
+/// The example scene: its rig and the calibrations of its FREEs.
+const FILES: [(&str, &str); 4] = [
+    ("rig.toml", include_str!("../../experiments/cook/rig.toml")),
+    ("knob.toml", include_str!("../../calibration/knob.toml")),
     ("module-r.toml", include_str!("../../calibration/module-r.toml")),
     ("module-l.toml", include_str!("../../calibration/module-l.toml")),
 ];
 
-/// Plans the eight and runs it; its run goes to `runs`.
+/// What the knob does meanwhile.
+const HEAT: &str = include_str!("../../experiments/cook/heat.toml");
+
+/// Plans the eight, and runs it with the knob; the run goes to `runs`.
 pub fn run(runs: &Path, context: &Context) -> Result<RunResult, Failure> {
     let folder = tempfile::tempdir()?;
     for (name, text) in FILES {
@@ -27,7 +31,7 @@ pub fn run(runs: &Path, context: &Context) -> Result<RunResult, Failure> {
     let mut rig = Rig::load(&folder.path().join("rig.toml"))?;
     rig.record.directory = runs.to_owned();
     let whisk = example_whisk(&rig, context)?;
-    let experiment = Experiment::parse(Path::new("whisk.toml"), &whisk.to_toml(&[]), &rig, None)?;
+    let experiment = Experiment::parse(Path::new("cook.toml"), &(whisk.to_toml(&[]) + HEAT), &rig, None)?;
     let job = Job { note: "freerig demo".into(), stepped: true, ..Job::new(experiment, Attendance::Here) };
     let outcome = stepped(&rig, &job)?;
     Ok(outcome.done()?.clone())
