@@ -311,6 +311,35 @@ fn a_slew_limit_that_a_ramp_down_cannot_keep_is_a_problem_of_the_file() {
 }
 
 #[test]
+fn a_line_too_slow_for_its_units_is_a_problem_of_the_file() {
+    // Five units at 9600 baud: 30.5 characters of 10 bits each.
+    let unit = |name: &str, id: &str| {
+        SECOND_FREE
+            .replace("[free.imu]\nbus = \"main\"\naddress = 0x29\n", "")
+            .replace("second", name)
+            .replace("\"B\"", id)
+    };
+    let five = |baud: &str| {
+        rig_with(|text| {
+            let others = ["b", "c", "d", "e"].map(|n| unit(n, &format!("\"{}\"", n.to_uppercase()))).concat();
+            replace(&text, "baud_bd = 19200", &format!("baud_bd = {baud}")) + &others
+        })
+    };
+    let (_folder, path) = five("9600");
+    let error = problems(&path);
+    assert_eq!(error.problems.len(), 1, "{error}");
+    let problem = &error.problems[0];
+    assert_eq!(problem.key, "serial.line.baud_bd");
+    assert!(problem.rule.contains("5 units in 159 ms") && problem.rule.contains("command_timeout_ms = 100"), "{error}");
+    assert!(problem.remedy.contains("at least 19200 (79 ms)"), "{error}");
+    for (baud, period) in [("19200", 79), ("38400", 39), ("115200", 13)] {
+        let (_folder, path) = five(baud);
+        let rig = Rig::load(&path).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(rig.control.frees[4].regulator.period.as_millis(), period);
+    }
+}
+
+#[test]
 fn every_syntax_error_is_listed() {
     let (_folder, path) = rig_with(|_| "a = = 3\n[b\nc = \"x\n".into());
     let error = problems(&path);

@@ -3,13 +3,16 @@
 
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
 
 use freerig::config::experiment::Experiment;
 use freerig::config::{Rig, Whisk};
-use freerig::daemon::api::RunResult;
+use freerig::control::Request;
 use freerig::daemon::experiment::{Attendance, Job, run};
 use freerig::daemon::{Bench, Stepped, procedure};
-use freerig::record::TipPath;
+use freerig::signal::{FaultCode, ImuHealth, State, TickRecord};
+use freerig::sim::chips::Misbehaviour;
 use freerig::units::PASCAL_PER_PSI as PSI;
 use tempfile::TempDir;
 
@@ -78,7 +81,9 @@ fn cooks(rig: &Rig) {
     let run = run(&mut bench, rig, &job, &mut |_| {}).unwrap().remove(0);
     assert_eq!(run.result_name(), "done", "{:?}", run.stop());
 
-    let columns = ["program_time_s", "knob.angle_rad", "knob.true_angle_rad", "a.angle_rad"].map(String::from);
+    let columns =
+        ["program_time_s", "knob.angle_rad", "knob.true_angle_rad", "a.angle_rad", "a.true_x_m", "a.true_y_m"]
+            .map(String::from);
     let table = run.table(&columns).unwrap();
     let knob = rig.temperatures(KNOB).unwrap();
     for (t, temperature) in [(2.9, 115.0), (5.9, 80.0)] {
@@ -92,13 +97,15 @@ fn cooks(rig: &Rig) {
         assert!((angle - truth).abs() < 0.25, "{angle} {truth}");
         assert!((of("a.angle_rad") - angle).abs() > 10.0);
     }
-    let path = TipPath::of(&run).unwrap().unwrap();
-    let moved = path.truth.iter().flatten().map(|p| p.xy().norm()).fold(0.0, f64::max);
+    let sideways = table.get("a.true_x_m").iter().zip(table.get("a.true_y_m")).map(|(x, y)| x.hypot(*y));
+    let moved = sideways.fold(0.0, f64::max);
     assert!(moved > 1e-3, "the plate moves sideways: {moved}");
-    let result = RunResult::of(&run).unwrap();
-    assert!(result.frees[KNOB].rms_error_rad.unwrap() < 2f64.to_radians(), "{result:?}");
+    let errors = &run.stop().unwrap().errors;
+    assert!(errors.len() == 1 && errors[0].free == "knob" && errors[0].rms_rad < 2f64.to_radians(), "{errors:?}");
     let page = fs::read_to_string(run.folder.join("report.html")).unwrap();
-    assert!(page.contains("Way of the plate") && page.contains("<h2>knob</h2>"));
+    for part in ["Way of the plate", "<h2>knob</h2>", "What the knob sets", "temperature [degC]"] {
+        assert!(page.contains(part), "{part}");
+    }
 
     // The pressures are gone, and with them the heat.
     let now = bench.now();
@@ -111,6 +118,82 @@ fn five_channels_of_alicat_units_whisk_and_turn_the_knob_at_once() {
     let (_folder, rig) = rig(&[]);
     assert_eq!(rig.control.frees[KNOB].regulator.period.as_millis(), 13);
     cooks(&rig);
+}
+
+/// The example rig with analogue regulators behind two DACs: the module's on 0x60, the knob's on 0x61.
+fn rig_of_dacs() -> (TempDir, Rig) {
+    let folder = TempDir::new().unwrap();
+    let here = Path::new(env!("CARGO_MANIFEST_DIR")).join("calibration");
+    let nominal = "[regulator]\nzero_code = { value = 60.0, method = \"test\" }\n\
+                   span_pa_per_code = { value = 25.0, method = \"test\" }\n";
+    for name in ["module-r.toml", "module-l.toml", "knob.toml"] {
+        let known = fs::read_to_string(here.join(name)).unwrap();
+        fs::write(folder.path().join(name), known.replace("[regulator]\n", nominal)).unwrap();
+    }
+    let mut text = text(folder.path()).replace(&format!("{here:?}"), "\".\"");
+    for (unit, address, channel) in
+        [("A", 0x60, "A"), ("B", 0x60, "B"), ("C", 0x60, "C"), ("D", 0x60, "D"), ("E", 0x61, "A")]
+    {
+        let alicat = format!("kind = \"alicat\"\nline = \"line\"\nunit = \"{unit}\"\n");
+        assert!(text.contains(&alicat), "{unit}");
+        let dac = format!("kind = \"mcp4728\"\nbus = \"main\"\naddress = {address}\nchannel = \"{channel}\"\n");
+        text = text.replace(&alicat, &dac);
+    }
+    let rig = load(folder.path(), &text).unwrap_or_else(|error| panic!("{error}"));
+    (folder, rig)
+}
+
+#[test]
+fn five_channels_of_two_dacs_whisk_and_turn_the_knob_at_once() {
+    let (_folder, rig) = rig_of_dacs();
+    let on: Vec<_> =
+        rig.wiring.i2c[0].dacs.iter().map(|dac| (dac.address, dac.channels.iter().flatten().count())).collect();
+    assert_eq!(on, [(0x60, 4), (0x61, 1)]);
+    cooks(&rig);
+}
+
+#[test]
+fn without_the_knobs_imu_everything_holds_then_goes_down_and_the_knob_turns_off() {
+    let (_folder, rig) = rig(&[]);
+    let mut bench = Stepped::new(&rig).unwrap();
+    procedure::arm(&mut bench, &rig, false).unwrap();
+    let program = Arc::new(scene(&rig).program);
+    bench.request(Request::Start { program, attended: false, identify: false }).unwrap();
+    bench.pass(Duration::from_millis(2500)).unwrap();
+    let before = bench.latest();
+    assert!(before.state == State::Track && before.frees().iter().all(|free| free.command > PSI), "{:?}", before.state);
+
+    // The IMU at 0x29 does not answer any more; that of the plate beside it at 0x28 does.
+    bench.sim().imu(KNOB).unwrap().always(Misbehaviour::Nak);
+    let pass = |bench: &mut Stepped, until: Duration, fits: &dyn Fn(&TickRecord) -> bool| {
+        let begun = bench.now();
+        while !fits(&bench.latest()) {
+            assert!(bench.now().since(begun) < until, "{:?} {:?}", bench.latest().state, bench.latest().latched);
+            bench.pass(rig.control.period).unwrap();
+        }
+    };
+    // Three periods of 10 ms, one more and a tick: everything holds. 200 ms, a period and a tick: everything goes down.
+    pass(&mut bench, Duration::from_millis(42), &|r| r.state == State::Faulting);
+    let held = bench.latest();
+    assert!(held.latched.is_empty() && held.frees().iter().all(|free| free.command > PSI));
+    pass(&mut bench, Duration::from_millis(212), &|r| r.latched.contains(FaultCode::ImuStale));
+    let ramped = bench.latest();
+    assert!(ramped.frees[KNOB].faults.contains(FaultCode::ImuStale) && !ramped.vent);
+    for free in 0..KNOB {
+        assert!(ramped.frees[free].imu.health == ImuHealth::Good && ramped.frees[free].faults.is_empty(), "{free}");
+    }
+    // Where it stays away the ladder comes to its end, and that vents: sooner than the ramp would.
+    pass(&mut bench, Duration::from_millis(1012), &|r| r.latched.contains(FaultCode::BusLost) && r.vent);
+    assert!(bench.latest().frees().iter().all(|free| free.command == 0.0));
+    pass(&mut bench, rig.control.vent_time, &|r| r.state == State::Faulted);
+    let now = bench.now();
+    let plant = bench.sim().plant();
+    let mut plant = plant.lock().unwrap();
+    for (free, control) in rig.control.frees.iter().enumerate() {
+        assert!(plant.pressure(free, now) < control.limits.pressure_zero, "{}", control.name);
+    }
+    let later = now + Duration::from_secs(1);
+    assert!(plant.truth(KNOB, later).angle.abs() < 1e-9, "off");
 }
 
 #[test]

@@ -93,7 +93,7 @@ async fn requests_reach_the_supervisor_and_its_answers_come_back() {
         other => panic!("{other:?}"),
     }
     client.arm(Arm { accept_margin: true }).await.unwrap();
-    let set = Set { free: "paper".into(), pressure_pa: Some(7.0), angle_rad: None };
+    let set = Set { free: "paper".into(), pressure_pa: Some(7.0), ..Set::default() };
     client.set(&set).await.unwrap();
     let start = Start { kind: "step".into(), ..Default::default() };
     assert_eq!(client.start(&start).await.unwrap().run.unwrap().kind, "step");

@@ -1,7 +1,7 @@
 //! `freerig demo`: the whole job on the simulated rig, in this process.
 //!
 //! Stiffness and hysteresis of the simulated FREE first; then one trajectory in real time, with the threads, drivers and files of the daemon; then step and trajectory on the
-//! stepped clock, with the gains that the paper's authors published and with freerig's own; a module's whisk at the end.
+//! stepped clock, with the gains that the paper's authors published and with freerig's own; a module's whisk with a knob that is turned at the end.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -53,7 +53,7 @@ struct Demo {
     machine: Machine,
     /// On the stepped clock: published gains, then own.
     comparisons: Vec<Comparison>,
-    /// The module's whisk on the stepped clock.
+    /// The module's whisk and the knob, at once, on the stepped clock.
     whisk: Whisks,
     /// One page for all of it.
     report: String,
@@ -111,7 +111,8 @@ pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
         EXPERIMENTS.iter().map(|(kind, gains)| compare(&rig, *kind, gains, context)).collect::<Result<Vec<_>, _>>()?;
 
     context.note(
-        "4. on the stepped clock: four FREEs under one plate draw a figure eight: as planned for their nominal module, and led along it",
+        "4. on the stepped clock: four FREEs under one plate draw a figure eight, as planned for their nominal module, and led \
+         along it; a fifth turns the cooktop's knob",
     );
     let whisk = demo_whisk::run(&rig.record.directory, context)?;
 
@@ -328,6 +329,10 @@ impl Demo {
             line(format!("{:<12} {what:<22} {rms:>10} {peak:>10} {:>10}  {}", "whisk", "-", run.outcome));
             let (rms, peak) = (mm(tip.true_rms_error_m), mm(tip.true_peak_error_m));
             line(format!("{:<12} {:<22} {rms:>10} {peak:>10} {:>10}", "", "true (SIMULATED)", "-"));
+            for free in run.frees.iter().filter(|free| free.rms_error_rad.is_some()) {
+                let [rms, peak, last] = [free.rms_error_rad, free.peak_error_rad, free.final_error_rad].map(degrees);
+                line(format!("{:<12} {:<22} {rms:>10} {peak:>10} {last:>10}", "", free.name));
+            }
             line(format!("{:<12} report: {}/report.html", "", run.folder));
         }
         line(format!(

@@ -1,5 +1,5 @@
-//! The whisk of `freerig demo`: an eight, planned for the example module and run on the simulated one, whose FREEs are
-//! not quite the plan's: as it stands, and led along its path.
+//! The scene of `freerig demo`: a module whisks an eight, planned for the nominal one, while a fifth FREE turns the knob
+//! of the cooktop; on the simulated rig, whose FREEs are not quite the plan's: as it stands, and led along its path.
 
 use std::path::Path;
 
@@ -13,14 +13,18 @@ use crate::config::experiment::Experiment;
 use crate::daemon::api::RunResult;
 use crate::daemon::experiment::{Attendance, Job};
 
-/// The example module: its rig and the calibrations of its FREEs.
-const FILES: [(&str, &str); 3] = [
-    ("rig.toml", include_str!("../../experiments/module/rig.toml")),
+/// The example scene: its rig and the calibrations of its FREEs.
+const FILES: [(&str, &str); 4] = [
+    ("rig.toml", include_str!("../../experiments/cook/rig.toml")),
+    ("knob.toml", include_str!("../../calibration/knob.toml")),
     ("module-r.toml", include_str!("../../calibration/module-r.toml")),
     ("module-l.toml", include_str!("../../calibration/module-l.toml")),
 ];
 
-/// The same plan on the same module.
+/// What the knob does meanwhile.
+const HEAT: &str = include_str!("../../experiments/cook/heat.toml");
+
+/// The same plan on the same scene.
 #[derive(Debug, Serialize)]
 pub struct Whisks {
     /// The pressures as they were planned.
@@ -29,7 +33,7 @@ pub struct Whisks {
     pub closed_loop: RunResult,
 }
 
-/// Plans the eight and runs it both ways; the runs go to `runs`.
+/// Plans the eight, and runs it with the knob, both ways; the runs go to `runs`.
 pub fn run(runs: &Path, context: &Context) -> Result<Whisks, Failure> {
     let folder = tempfile::tempdir()?;
     for (name, text) in FILES {
@@ -38,9 +42,9 @@ pub fn run(runs: &Path, context: &Context) -> Result<Whisks, Failure> {
     let mut rig = Rig::load(&folder.path().join("rig.toml"))?;
     rig.record.directory = runs.to_owned();
     let whisk = example_whisk(&rig, context)?;
-    let text = whisk.to_toml(&[]);
+    let text = whisk.to_toml(&[]) + HEAT;
     let with = |open_loop: bool| -> Result<RunResult, Failure> {
-        let experiment = Experiment::parse(Path::new("whisk.toml"), &text, &rig, None)?;
+        let experiment = Experiment::parse(Path::new("cook.toml"), &text, &rig, None)?;
         let note = "freerig demo".into();
         let job = Job { note, stepped: true, open_loop, ..Job::new(experiment, Attendance::Here) };
         Ok(stepped(&rig, &job)?.done()?.clone())

@@ -165,10 +165,10 @@ impl Outcome {
     }
 }
 
-/// A FREE that only held its pressure has no figures.
+/// A FREE that only held its pressure has no figures, and those of a module have only their plate's.
 fn is_worth_a_line(free: &FreeResult, run: &RunResult) -> bool {
-    let of_its_own = free.rms_error_rad.is_some() || free.hysteresis_rad.is_some();
-    run.frees.len() == 1 || (of_its_own && run.tip.is_none())
+    let swept = free.hysteresis_rad.is_some() && run.tip.is_none();
+    run.frees.len() == 1 || free.rms_error_rad.is_some() || swept
 }
 
 fn scatter(names: Vec<String>, runs: &[RunResult]) -> Vec<Scatter> {

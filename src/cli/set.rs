@@ -9,7 +9,7 @@ use serde_json::json;
 use super::{Context, Exit, Failure, Progress, control};
 use crate::daemon::api::{Happening, Run, RunResult, Set, Status};
 use crate::daemon::client::{Client, ClientError};
-use crate::units::{Angle, Pressure};
+use crate::units::{Angle, Pressure, Temperature};
 
 /// How often the progress is looked at.
 const LOOK: Duration = Duration::from_millis(200);
@@ -17,7 +17,7 @@ const LOOK: Duration = Duration::from_millis(200);
 /// What `freerig set` takes.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "The rig must be armed. The pressure stays when the value is reached, also that which held an angle; `freerig disarm` takes it down.\n\nExamples:\n  freerig set pressure 3psi --free paper\n  freerig set angle -20deg --free paper"
+    after_help = "The rig must be armed. The pressure stays when the value is reached, also that which held an angle; `freerig disarm` takes it down.\n\nExamples:\n  freerig set pressure 3psi --free paper\n  freerig set angle -20deg --free paper\n  freerig set temperature 180degC --free knob"
 )]
 pub struct Args {
     #[command(subcommand)]
@@ -42,6 +42,14 @@ enum What {
         #[command(flatten)]
         subject: Subject,
     },
+    /// What the FREE's knob sets, within its table in rig.toml
+    Temperature {
+        /// Its new value
+        #[arg(value_name = "TEMPERATURE")]
+        value: Temperature,
+        #[command(flatten)]
+        subject: Subject,
+    },
 }
 
 #[derive(Debug, clap::Args)]
@@ -54,9 +62,10 @@ struct Subject {
 /// Sets the value and waits until the FREE has had its time to get there.
 pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     let client = control::client(context)?;
-    let (subject, pressure_pa, angle_rad) = match args.what {
-        What::Pressure { value, subject } => (subject, Some(value.si()), None),
-        What::Angle { value, subject } => (subject, None, Some(value.si())),
+    let (subject, wanted) = match args.what {
+        What::Pressure { value, subject } => (subject, Set { pressure_pa: Some(value.si()), ..Set::default() }),
+        What::Angle { value, subject } => (subject, Set { angle_rad: Some(value.si()), ..Set::default() }),
+        What::Temperature { value, subject } => (subject, Set { temperature_degc: Some(value.si()), ..Set::default() }),
     };
     let status = control::wait(client.status())?;
     let free = match (subject.free, status.frees.as_slice()) {
@@ -68,7 +77,7 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
             return Err(Failure::usage(error).remedy("name one with `--free NAME`"));
         }
     };
-    let set = Set { free, pressure_pa, angle_rad };
+    let set = Set { free, ..wanted };
     let (run, result, status) = control::wait(follow(&client, &set))?;
     let reached = status.frees.iter().find(|free| free.name == set.free);
     let done = result.as_ref().is_none_or(|result| result.outcome == "done");
@@ -79,7 +88,8 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         let angle = free.angle_rad.map(|a| format!("angle {:.1}", Angle::radians(a)));
         let pressure = free.pressure_pa.map(|p| format!("pressure {:.2}", Pressure::pascals(p)));
         let command = Some(format!("commanded {:.2}", Pressure::pascals(free.command_pa)));
-        let values: Vec<_> = [angle, pressure, command].into_iter().flatten().collect();
+        let temperature = free.temperature_degc.map(|t| format!("set to {:.1}", Temperature::celsius(t)));
+        let values: Vec<_> = [temperature, angle, pressure, command].into_iter().flatten().collect();
         context.print(format!("{simulated}{}: {}\nrun: {}", free.name, values.join(", "), run.folder))?;
     }
     match result.filter(|_| !done) {

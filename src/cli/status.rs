@@ -10,7 +10,7 @@ use super::{Context, Failure, control};
 use crate::daemon::api::{DeviceStatus, FreeStatus, Run, Status};
 use crate::daemon::client::Client;
 use crate::signal::FaultCode;
-use crate::units::{Angle, Pressure};
+use crate::units::{Angle, Pressure, Temperature};
 
 /// Shortest time between two screens, or two lines.
 const REFRESH: Duration = Duration::from_millis(200);
@@ -129,6 +129,9 @@ fn describe(status: &Status) -> String {
         for device in free.imu.iter().chain([&free.regulator]) {
             line(format!("{:<12} {}", free.name, describe_device(device)));
         }
+    }
+    for (free, temperature) in status.frees.iter().filter_map(|free| Some((free, free.temperature_degc?))) {
+        line(format!("{:<12} its knob sets {:.1}", free.name, Temperature::celsius(temperature)));
     }
     for (free, cycles) in status.frees.iter().filter_map(|free| Some((free, free.pressure_cycles?))) {
         line(format!("{:<12} {cycles} pressure cycles", free.name));

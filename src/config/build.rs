@@ -142,7 +142,7 @@ fn regulator_period(raw: &RawRig, free: &RawFree) -> Duration {
         .frees
         .iter()
         .filter(|other| matches!(&other.regulator.connection, Connection::Alicat { line: of, .. } if of == line));
-    duration(units.count() as f64 * TRANSACTION_CHARACTERS * character(raw, line))
+    duration(round_of(units.count(), baud(raw, line)))
 }
 
 /// From the taking of a command to its arrival, s.
@@ -156,8 +156,16 @@ fn transport(raw: &RawRig, free: &RawFree) -> f64 {
 
 /// Time of one character on a line, s.
 fn character(raw: &RawRig, line: &str) -> f64 {
-    let baud = raw.serial.iter().find(|serial| serial.name == *line).map_or(19200, |serial| serial.baud);
-    BITS_PER_CHARACTER / f64::from(baud)
+    BITS_PER_CHARACTER / f64::from(baud(raw, line))
+}
+
+fn baud(raw: &RawRig, line: &str) -> u32 {
+    raw.serial.iter().find(|serial| serial.name == *line).map_or(19200, |serial| serial.baud)
+}
+
+/// Time in which each of so many `units` on a line of `baud` is served once, s.
+pub(super) fn round_of(units: usize, baud: u32) -> f64 {
+    units as f64 * TRANSACTION_CHARACTERS * BITS_PER_CHARACTER / f64::from(baud)
 }
 
 fn wiring(raw: &RawRig) -> Wiring {

@@ -23,13 +23,14 @@ pub struct Knob {
 pub struct Temperatures(Vec<(f64, f64)>);
 
 impl Temperatures {
-    /// A table of at least two rows whose angles, in the direction `own` (1 or -1), rise strictly, and whose temperatures
-    /// rise or fall strictly; none of any other.
-    pub fn new(rows: Vec<(f64, f64)>, own: f64) -> Option<Temperatures> {
-        let steps = || rows.windows(2).map(|pair| (own * (pair[1].0 - pair[0].0), pair[1].1 - pair[0].1));
+    /// A table of at least two rows whose angles rise or fall strictly, and whose temperatures do; none of any other.
+    pub fn new(rows: Vec<(f64, f64)>) -> Option<Temperatures> {
+        let one_way = |pick: fn(&(f64, f64)) -> f64| {
+            let steps = || rows.windows(2).map(|pair| pick(&pair[1]) - pick(&pair[0]));
+            steps().all(|step| step > 0.0) || steps().all(|step| step < 0.0)
+        };
         let finite = rows.iter().all(|(angle, temperature)| angle.is_finite() && temperature.is_finite());
-        let one_way = steps().all(|(_, rise)| rise > 0.0) || steps().all(|(_, rise)| rise < 0.0);
-        (finite && rows.len() > 1 && one_way && steps().all(|(turn, _)| turn > 0.0)).then_some(Temperatures(rows))
+        (finite && rows.len() > 1 && one_way(|row| row.0) && one_way(|row| row.1)).then_some(Temperatures(rows))
     }
 
     /// The rows: angle, rad, and temperature, degrees Celsius.
@@ -155,7 +156,7 @@ fn read_temperatures(section: &mut Section<'_>, own: f64, travel: f64) -> Option
         return None;
     }
     let rows = angles.into_iter().zip(temperatures).collect();
-    let table = Temperatures::new(rows, own);
+    let table = Temperatures::new(rows);
     if table.is_none() {
         let rule = "must rise from each to the next, or fall: else a temperature has two angles";
         section.reject(TEMPERATURES, rule, "leave out the rows where it stands still or turns back");
@@ -171,7 +172,7 @@ mod tests {
     fn an_angle_sets_a_temperature_and_a_temperature_has_its_angle() {
         for (own, sign) in [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)] {
             let rows = [(0.0, 20.0), (0.5, 80.0), (2.0, 230.0)].map(|(a, t)| (own * a, sign * t)).to_vec();
-            let table = Temperatures::new(rows, own).unwrap();
+            let table = Temperatures::new(rows).unwrap();
             for (angle, temperature) in [(0.0, 20.0), (0.25, 50.0), (0.5, 80.0), (1.25, 155.0), (2.0, 230.0)] {
                 assert!((table.at(own * angle) - sign * temperature).abs() < 1e-9, "{table:?}");
                 assert!((table.angle(sign * temperature).unwrap() - own * angle).abs() < 1e-12, "{table:?}");
@@ -193,7 +194,7 @@ mod tests {
             vec![(0.0, 20.0), (0.0, 60.0)],
             vec![(0.0, 20.0), (1.0, f64::NAN)],
         ] {
-            assert_eq!(Temperatures::new(rows.clone(), 1.0), None, "{rows:?}");
+            assert_eq!(Temperatures::new(rows.clone()), None, "{rows:?}");
         }
     }
 }

@@ -7,7 +7,8 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::free::{RawFree, RawImu, read_free};
+use super::build::round_of;
+use super::free::{Connection, RawFree, RawImu, read_free};
 use super::load::{Files, Library};
 use super::module::{RawModule, read_module};
 use super::reader::Section;
@@ -80,11 +81,13 @@ pub(super) fn read_rig(mut root: Section<'_>, base: &Path, files: &mut Files) ->
     let backend = root.choice("backend", Some(Backend::Sim), &backends).unwrap_or(Backend::Sim);
     let frees = read_frees(&mut root, &i2c, &serial, &mut Library::new(&calibration_directory, files), backend);
     let module = read_module(&mut root, &i2c, &frees);
+    let safety = read_safety(root.section("safety"), &frees);
+    check_lines(&mut root, &serial, &frees, safety.command_timeout);
     RawRig {
         name: root.optional_text("name").unwrap_or_else(|| "bench".into()),
         backend,
         realtime: read_loop(root.section("loop")),
-        safety: read_safety(root.section("safety"), &frees),
+        safety,
         record: read_record(root.section("record")),
         socket: read_socket(root.section("socket"), base),
         gpio: root.has("gpio").then(|| read_gpio(root.section("gpio"))),
@@ -136,6 +139,34 @@ fn read_safety(mut section: Section<'_>, frees: &[RawFree]) -> RawSafety {
         }
     }
     safety
+}
+
+/// Every unit on a line has to hear of a stop in time: within the time in which the owner of the line gives up on the loop.
+fn check_lines(root: &mut Section<'_>, serial: &[RawSerial], frees: &[RawFree], timeout: Duration) {
+    for (name, mut section) in root.named("serial") {
+        section.accept_rest();
+        let on =
+            |free: &&RawFree| matches!(&free.regulator.connection, Connection::Alicat { line, .. } if *line == name);
+        let (units, baud) = (frees.iter().filter(on).count(), serial.iter().find(|line| line.name == name));
+        let Some(baud) = baud.map(|line| line.baud).filter(|baud| BAUDS.contains(baud)) else { continue };
+        let in_time = |baud: u32| round_of(units, baud) <= timeout.as_secs_f64();
+        if units > 0 && !in_time(baud) {
+            let ms = |seconds: f64| 1e3 * seconds;
+            let rule = format!(
+                "serves {units} units in {:.0} ms, and each has to hear of a stop within command_timeout_ms = {:.0}",
+                ms(round_of(units, baud)),
+                ms(timeout.as_secs_f64())
+            );
+            let remedy = match BAUDS.into_iter().find(|baud| in_time(*baud)) {
+                Some(fast) => format!(
+                    "set the line and its units to at least {fast} ({:.0} ms), or move units to another line",
+                    ms(round_of(units, fast))
+                ),
+                None => "write a longer command_timeout_ms, or move units to another line".into(),
+            };
+            section.reject("baud_bd", rule, remedy);
+        }
+    }
 }
 
 fn read_record(mut section: Section<'_>) -> RecordConfig {

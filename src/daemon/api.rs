@@ -96,6 +96,9 @@ pub struct FreeStatus {
     pub name: String,
     /// Estimated end rotation, rad; `null` without a reading.
     pub angle_rad: Option<f64>,
+    /// What its knob sets at that angle, degrees Celsius; `null` without a knob, or where that is not known.
+    #[serde(default)]
+    pub temperature_degc: Option<f64>,
     /// Estimated rate, rad/s.
     pub rate_rad_s: Option<f64>,
     /// Measured pressure, Pa; `null` where it is not measured.
@@ -425,7 +428,7 @@ pub struct Arm {
     pub accept_margin: bool,
 }
 
-/// Set one value by hand, within the limits. Exactly one of the two values is given.
+/// Set one value by hand, within the limits. Exactly one of the values is given.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Set {
@@ -437,6 +440,9 @@ pub struct Set {
     /// Angle, rad.
     #[serde(default)]
     pub angle_rad: Option<f64>,
+    /// What the FREE's knob is to set, degrees Celsius.
+    #[serde(default)]
+    pub temperature_degc: Option<f64>,
 }
 
 /// Start an experiment.

@@ -10,7 +10,7 @@ use crate::control::FreeControl;
 use crate::record::RunKind;
 use crate::signal::{FreeTick, Quantity, TickRecord};
 use crate::trajectory::{Axis, Program, Segment, Sequence, Shape};
-use crate::units::{Angle, Pressure};
+use crate::units::{Angle, Pressure, Temperature};
 
 /// How long a new value is given to settle, s.
 const SETTLE: f64 = 2.0;
@@ -33,12 +33,16 @@ pub(super) fn job(set: &Set, rig: &Rig, record: &TickRecord) -> Result<Job, Prob
     let (Some(free), Some(tick)) = (rig.control.frees.get(subject), record.frees().get(subject)) else {
         return Err(Problem::new(ProblemKind::Busy, "the rig has only just been started", "try again in a moment"));
     };
-    let (title, axis) = match (set.pressure_pa, set.angle_rad) {
-        (Some(pressure), None) => to_pressure(free, tick, pressure)?,
-        (None, Some(angle)) => to_angle(free, tick, angle)?,
+    let (title, axis) = match (set.pressure_pa, set.angle_rad, set.temperature_degc) {
+        (Some(pressure), None, None) => to_pressure(free, tick, pressure)?,
+        (None, Some(angle), None) => to_angle(free, tick, angle)?,
+        (None, None, Some(temperature)) => {
+            let (_, axis) = to_angle(free, tick, knob_angle(rig, subject, temperature)?)?;
+            (format!("{:.1}", Temperature::celsius(temperature)), axis)
+        }
         _ => {
-            let error = "exactly one of pressure and angle is to be set";
-            return Err(Problem::new(ProblemKind::Usage, error, "give one of the two"));
+            let error = "exactly one of pressure, angle and temperature is to be set";
+            return Err(Problem::new(ProblemKind::Usage, error, "give one of them"));
         }
     };
     let program = program(subject, axis, record).map_err(|error| Problem::from(&error))?;
@@ -61,6 +65,22 @@ pub(super) fn job(set: &Set, rig: &Rig, record: &TickRecord) -> Result<Job, Prob
         live: None,
         stop: Arc::default(),
     })
+}
+
+/// The angle at which the knob of the FREE `subject` sets `temperature`, degrees Celsius.
+fn knob_angle(rig: &Rig, subject: usize, temperature: f64) -> Result<f64, Problem> {
+    let name = &rig.control.frees[subject].name;
+    let Some(table) = rig.temperatures(subject) else {
+        let error = format!("`{name}` has no knob that sets temperatures");
+        return Err(Problem::new(
+            ProblemKind::Usage,
+            error,
+            "set an angle, or write the knob's table into [free.knob] of rig.toml",
+        ));
+    };
+    table
+        .angle_of(temperature, name)
+        .map_err(|error| Problem::new(ProblemKind::Usage, error, "keep within the knob's table"))
 }
 
 fn to_pressure(free: &FreeControl, tick: &FreeTick, wanted: f64) -> Result<(String, Axis), Problem> {

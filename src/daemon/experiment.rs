@@ -384,6 +384,9 @@ fn document<B: Bench>(bench: &mut B, rig: &Rig, job: &Job, repetition: Option<Re
         granted: bench.latest().realtime && !job.stepped,
         detail: if job.stepped { "stepped clock".into() } else { String::new() },
     };
+    for (index, free) in start.frees.iter_mut().enumerate() {
+        free.temperatures = rig.temperatures(index).map(Into::into);
+    }
     for ((free, control), calibration) in start.frees.iter_mut().zip(&rig.control.frees).zip(&rig.calibrations) {
         let name = calibration.gain_names().find(|name| calibration.gains(name) == Some(control.gains));
         free.preset = name.unwrap_or_default().to_owned();

@@ -192,9 +192,9 @@ async fn status(State(office): Shared) -> Json<Status> {
 }
 
 async fn set(State(office): Shared, Read(set): Read<Set>) -> Answer {
-    if set.pressure_pa.is_some() == set.angle_rad.is_some() {
-        let error = "exactly one of pressure_pa and angle_rad is to be set";
-        return Err(Problem::new(ProblemKind::Usage, error, "give one of the two"));
+    if [set.pressure_pa, set.angle_rad, set.temperature_degc].into_iter().flatten().count() != 1 {
+        let error = "exactly one of pressure_pa, angle_rad and temperature_degc is to be set";
+        return Err(Problem::new(ProblemKind::Usage, error, "give one of them"));
     }
     office.ask(Request::Set(set)).await
 }

@@ -16,7 +16,8 @@ pub(super) fn status(rig: &Rig, live: &Live, record: &TickRecord) -> Status {
         simulated: rig.is_simulated(),
         state: record.state.name().into(),
         frees: frees
-            .map(|((free, tick), devices)| FreeStatus {
+            .enumerate()
+            .map(|(index, ((free, tick), devices))| FreeStatus {
                 imu: devices.imu.as_deref().map(|imu| {
                     let sample = &tick.imu;
                     device(imu, imu_health(sample.health), sample.time, record.time)
@@ -27,6 +28,10 @@ pub(super) fn status(rig: &Rig, live: &Live, record: &TickRecord) -> Status {
                     DeviceStatus { line: devices.line.as_deref().map(Into::into), ..status }
                 }),
                 vented: free.regulator.measures.then(|| is_free_vented(record.time, tick, free)),
+                temperature_degc: rig
+                    .temperatures(index)
+                    .filter(|_| tick.estimate.valid)
+                    .map(|knob| knob.at(tick.estimate.angle)),
                 ..free_status(&free.name, tick)
             })
             .collect(),

@@ -103,6 +103,9 @@ pub enum SweepError {
     /// The FREE hardly turned.
     #[error("the FREE turned by {0} rad only; at least {RANGE_MIN} rad are needed: sweep to a higher pressure")]
     NoExcitation(f64),
+    /// It turned against the direction of its winding angle.
+    #[error("the FREE turned by {0} rad, against its winding angle: it is of the other hand, or its IMU's axis is")]
+    OtherHand(f64),
     /// Only one way.
     #[error("the sweep never comes back: without a way down the hysteresis cannot be told from the stiffness")]
     OneWay,
@@ -134,6 +137,10 @@ pub fn fit_sweep(points: &[RestPoint], free: &Free) -> Result<SweepFit, SweepErr
     }
     let own = free.direction();
     let highest = points.iter().map(|p| own * p.angle).fold(0.0, f64::max);
+    let against = points.iter().map(|p| -own * p.angle).fold(0.0, f64::max);
+    if against > highest.max(RANGE_MIN) {
+        return Err(SweepError::OtherHand(-own * against));
+    }
     if highest < RANGE_MIN {
         return Err(SweepError::NoExcitation(highest));
     }
@@ -404,6 +411,9 @@ mod tests {
         assert_eq!(fit_sweep(&good[..41], &free), Err(SweepError::OneWay));
         let still: Vec<_> = good.iter().map(|p| RestPoint { angle: 1e-3 * p.angle, ..*p }).collect();
         assert!(matches!(fit_sweep(&still, &free), Err(SweepError::NoExcitation(_))));
+        let other: Vec<_> = good.iter().map(|p| RestPoint { angle: -p.angle, ..*p }).collect();
+        let turned = good.iter().map(|p| p.angle).fold(0.0, f64::max);
+        assert_eq!(fit_sweep(&other, &free), Err(SweepError::OtherHand(-turned)));
         let mut broken = good.clone();
         broken[7].pressure = f64::NAN;
         assert_eq!(fit_sweep(&broken, &free), Err(SweepError::NotFinite(7)));

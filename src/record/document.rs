@@ -9,6 +9,7 @@ use sha2::{Digest, Sha256};
 
 use super::module::{ModuleDocument, WhiskDocument};
 use super::tube::TubeDocument;
+use crate::config::Temperatures;
 use crate::control::{ControlConfig, ControllerKind, DerivativeOn, FreeControl, Gains, Limits};
 use crate::model::{ELEMENTS, Free, Hysteresis};
 use crate::signal::Quantity;
@@ -221,6 +222,9 @@ pub struct FreeDocument {
     /// Its tube as finite elements see it, where it has a calibration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tube: Option<TubeDocument>,
+    /// What its knob sets, where it turns one and that is known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub temperatures: Option<TemperaturesDocument>,
     /// Its gains.
     pub gains: GainsDocument,
     /// Whether the derivative term looks at the error rather than at the measurement.
@@ -246,6 +250,7 @@ impl FreeDocument {
             model: free.free.into(),
             hysteresis: None,
             tube: None,
+            temperatures: None,
             gains: free.gains.into(),
             derivative_on_error: free.derivative_on == DerivativeOn::Error,
             feedforward: free.feedforward,
@@ -267,6 +272,27 @@ pub struct ModelDocument {
     pub torsional_stiffness_nm_per_rad: f64,
     pub axial_damping_ns_per_m: f64,
     pub torsional_damping_nms_per_rad: f64,
+}
+
+/// What a knob sets at its angles.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct TemperaturesDocument {
+    pub angles_rad: Vec<f64>,
+    pub temperatures_degc: Vec<f64>,
+}
+
+impl From<&Temperatures> for TemperaturesDocument {
+    fn from(table: &Temperatures) -> Self {
+        let (angles_rad, temperatures_degc) = table.rows().iter().copied().unzip();
+        Self { angles_rad, temperatures_degc }
+    }
+}
+
+impl TemperaturesDocument {
+    /// The table; none where the numbers are none of one.
+    pub fn table(&self) -> Option<Temperatures> {
+        Temperatures::new(self.angles_rad.iter().copied().zip(self.temperatures_degc.iter().copied()).collect())
+    }
 }
 
 /// Torsional hysteresis: Maxwell-slip elements.

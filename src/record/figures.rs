@@ -14,6 +14,7 @@ use super::run::Run;
 use super::samples::Table;
 use super::signals::{Signals, interpolate};
 use super::{Result, palette};
+use crate::config::Temperatures;
 use crate::signal::{FaultSet, Quantity};
 use crate::units::PASCAL_PER_PSI;
 
@@ -66,6 +67,22 @@ pub fn response(signals: &Signals, model: Option<&[f64]>) -> Plot {
     }
     lines.push(line("angle", palette::BLUE, &signals.angle));
     over_time(signals, "angle [deg]", 380, lines)
+}
+
+/// What the knob of `table` sets at the angles: wanted, simulated, and as measured.
+pub fn temperature(signals: &Signals, table: &Temperatures) -> Plot {
+    let line = |label: &str, rgb: u32, angles: &[f64]| {
+        Line::new(label, rgb, &signals.t, angles.iter().map(|angle| table.at(*angle)).collect())
+    };
+    let mut lines = Vec::new();
+    if signals.quantity == Quantity::Angle {
+        lines.push(line("reference", palette::GREY, &signals.reference).width(3));
+    }
+    if signals.true_angle_in_window().is_some() {
+        lines.push(line("true (SIMULATED)", palette::GREEN, &signals.true_angle).width(1));
+    }
+    lines.push(line("set", palette::BLUE, &signals.angle));
+    over_time(signals, "temperature [degC]", 260, lines)
 }
 
 /// Tracking error, and what the model leaves unexplained.

@@ -140,6 +140,9 @@ fn free_section(
     }
     let marked = |plot: Plot| Plot { marks: figures::marks(run, signals), ..plot }.svg();
     page.figure("Response", &marked(figures::response(signals, model))?);
+    if let Some(table) = &signals.temperatures {
+        page.figure("What the knob sets", &marked(figures::temperature(signals, table))?);
+    }
     page.figure("Error", &marked(figures::error(signals, model))?);
     page.figure("Pressure", &marked(figures::pressure(signals))?);
     if signals.quantity == Quantity::Angle {

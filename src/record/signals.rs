@@ -8,6 +8,7 @@ use super::document::{RunResult, StartDocument};
 use super::run::Run;
 use super::tube::TubeDocument;
 use super::{RecordError, Result};
+use crate::config::Temperatures;
 use crate::model::{Free, Hysteresis};
 use crate::signal::Quantity;
 
@@ -27,6 +28,8 @@ pub struct Signals {
     pub in_module: bool,
     /// Its tube as finite elements see it.
     pub tube: Option<TubeDocument>,
+    /// What its knob sets, where it turns one and that is known.
+    pub temperatures: Option<Temperatures>,
     /// Time since the program's start, s; negative before it.
     pub t: Vec<f64>,
     /// Reference, rad; not a number where no angle was asked.
@@ -116,6 +119,7 @@ impl Signals {
             hysteresis: document.and_then(|f| f.hysteresis).map(Hysteresis::from).unwrap_or_default(),
             in_module: in_module(run.start(), name),
             tube: document.and_then(|f| f.tube),
+            temperatures: document.and_then(|f| f.temperatures.as_ref()?.table()),
             t: t.iter().map(|t| t - zero).collect(),
             reference: get("reference_rad"),
             reference_pressure: get("reference_pa"),

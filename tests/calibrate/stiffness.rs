@@ -186,3 +186,35 @@ fn arming_asks_whether_the_calibration_fits_the_rig() {
     edit(&file, &format!("[conditions.{KT}]"), "[conditions.torsional]");
     refused(&freerig(folder.path(), &["config", "check"]), 2, &["no value `torsional`", "remove the table"]);
 }
+
+#[test]
+fn a_free_of_the_other_hand_is_recognised_and_refused() {
+    let folder = bench();
+    let path = folder.path().join("calibration/paper.toml");
+    // What hangs there is an L FREE, as in the paper; the calibration says R.
+    let wound = "winding_angle_deg = { value = -40.0";
+    edit(&path, wound, "winding_angle_deg = { value = 40.0, simulated_nominal = -40.0");
+    let before = fs::read(&path).unwrap();
+    let sweep = freerig(folder.path(), &["calibrate", "stiffness", "--stepped"]);
+    let rule = "an R FREE, which turns negative under pressure";
+    refused(
+        &sweep,
+        1,
+        &["`paper` turned to ", "winding angle of 40.0 deg", rule, "sign of winding_angle_deg", "untouched"],
+    );
+    // The IMU sees the same turn first; it may as well sit upside down.
+    let imu = freerig(folder.path(), &["calibrate", "imu", "--stepped"]);
+    refused(&imu, 1, &["axis = [0, 0, -1]", "if not, `paper` is of the other hand", rule]);
+    assert_eq!(fs::read(&path).unwrap(), before);
+}
+
+#[test]
+fn a_free_on_a_plate_has_no_stiffness_to_be_seen() {
+    let rig = Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments/cook/rig.toml");
+    let rig = rig.to_str().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    for what in ["stiffness", "damping"] {
+        let output = freerig(folder.path(), &["calibrate", what, "--free", "a", "--stepped", "--rig", rig]);
+        refused(&output, 1, &["the end of `a` is on its module's plate", "before it is mounted"]);
+    }
+}

@@ -1,23 +1,32 @@
 //! One full cycle of ticks, boot to fault and vent, under an allocation guard: the tick allocates and frees nothing.
 
+use std::sync::Arc;
+
 use assert_no_alloc::assert_no_alloc;
 use freerig::control::{ControllerKind, FreeControl, Gains, ModelSpec, Request};
 use freerig::model::{ELEMENTS, Hysteresis};
-use freerig::signal::State;
-use freerig::trajectory::Sequence;
+use freerig::signal::{MAX_FREES, Quantity, State};
+use freerig::trajectory::{Axis, Program, Sequence};
 
 use crate::harness::*;
 
 #[test]
 fn a_cycle_of_arming_tracking_faulting_and_venting_allocates_nothing() {
-    // One FREE under the model, with a step in its program, one under the PID.
+    // As many FREEs as a rig can hold: one under the model, with a step in its program, one under the PID, and a module's
+    // four, which follow pressures.
     let spec =
         ModelSpec { hysteresis: Hysteresis::new([0.1; ELEMENTS], [1e-3; ELEMENTS]).unwrap(), ..ModelSpec::default() };
     let model = FreeControl { controller: ControllerKind::Model(spec), ..free_control(-40.0) };
-    let mut rig = Rig::new(&config(vec![model, free_control(40.0)]));
+    let whisk = |gamma| FreeControl { controller: ControllerKind::Nothing, ..free_control(gamma) };
+    let frees = vec![model, free_control(40.0), whisk(40.0), whisk(-40.0), whisk(40.0), whisk(-40.0)];
+    assert_eq!(frees.len(), MAX_FREES);
+    let mut rig = Rig::new(&config(frees));
     rig.plant = true;
-    let program =
-        angle_program(Sequence::starting_at(0.0).cubic_in_slot(0.5, 1.0, 1.5).step(0.4, 0.5).build().unwrap());
+    let turn = Sequence::starting_at(0.0).cubic_in_slot(0.5, 1.0, 1.5).step(0.4, 0.5).build().unwrap();
+    let press = Sequence::starting_at(0.0).cubic_in_slot(PSI, 1.0, 1.5).build().unwrap();
+    let pressed = (2..MAX_FREES).map(|free| (free, Axis { quantity: Quantity::Pressure, sequence: press.clone() }));
+    let turned = (0, Axis { quantity: Quantity::Angle, sequence: turn });
+    let program = Arc::new(Program::new([turned].into_iter().chain(pressed)).unwrap());
     let start = |identify| Request::Start { program: program.clone(), attended: false, identify };
     let gains = Gains { proportional: 1e4, integral: 1e5, derivative: 100.0, derivative_filter: 10.0 };
     let mut requests = [

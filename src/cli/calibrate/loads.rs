@@ -201,7 +201,7 @@ fn read_by_hand(rig: &Rig, index: usize, session: &Session, context: &Context) -
 
 /// Sets a pressure and waits until it is there.
 pub(super) fn set(client: &Client, free: &str, pressure: f64) -> Result<(), Failure> {
-    let set = Set { free: free.into(), pressure_pa: Some(pressure), angle_rad: None };
+    let set = Set { free: free.into(), pressure_pa: Some(pressure), ..Set::default() };
     control::wait(client.set(&set))?;
     let status = control::wait(control::until(client, SETTING, |status| status.run.is_none()))?;
     if status.run.is_none() && !status.is_faulted() {

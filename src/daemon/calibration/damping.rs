@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::{CalibrationError, Finding, FoundValue, Origin};
+use super::{CalibrationError, Finding, FoundValue, Origin, on_its_own};
 use crate::config::calibration::{Key, keys};
 use crate::config::{Calibration, Rig};
 use crate::ident::pluck::{
@@ -78,6 +78,7 @@ impl Plan {
 /// # Errors
 /// Where it has no IMU, or may hardly be turned.
 pub fn plan(rig: &Rig, subject: usize, added: f64) -> Result<Plan, CalibrationError> {
+    on_its_own(rig, subject)?;
     let control = &rig.control.frees[subject];
     let range = |reason: String| CalibrationError::Range { free: control.name.clone(), reason };
     if control.imu.is_none() {

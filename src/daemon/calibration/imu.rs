@@ -1,7 +1,9 @@
 //! Noise, drift and axis of an IMU: of a FREE that is left alone, then of one that a gentle pressure turns.
 
+use std::f64::consts::PI;
+
 use super::stiffness::highest_pressure;
-use super::{CalibrationError, Finding, Origin};
+use super::{CalibrationError, Finding, Origin, hand};
 use crate::config::Rig;
 use crate::config::calibration::keys;
 use crate::control::ImuChannel;
@@ -99,7 +101,17 @@ pub fn evaluate(
     let axis = fit_axis(&tare, &orientations, own).map_err(|error| unfit(turning, error.to_string()))?;
     let off = configured.iter().zip(axis.axis).map(|(a, b)| a * b).sum::<f64>().clamp(-1.0, 1.0).acos();
     if off > OFF_MAX {
-        let remedy = line(&free.name, &axis);
+        let mut remedy = line(&free.name, &axis);
+        if off > PI - OFF_MAX {
+            // Upside down and of the other hand look the same from here.
+            remedy += &format!(
+                " if the sensor sits that way round; if not, `{}` is of the other hand than its winding angle of {:.1} deg \
+                 says, {}: correct the sign of winding_angle_deg in its calibration",
+                free.name,
+                free.free.gamma.to_degrees(),
+                hand(free.free.gamma)
+            );
+        }
         return Err(CalibrationError::Axis { free: free.name.clone(), off, found: axis.axis, configured, remedy });
     }
 

@@ -24,6 +24,7 @@ use crate::ident::pluck::PluckError;
 use crate::ident::{Measured, RingDownError, SweepError};
 use crate::model::{EquilibriumError, FreeError};
 use crate::record::{RecordError, Run, Sheet};
+use crate::units::Pressure;
 
 /// What a calibration found.
 #[derive(Clone, Debug)]
@@ -112,6 +113,25 @@ impl Origin<'_> {
     }
 }
 
+/// Refuses the FREE `subject` of `rig` where its end is not its own.
+fn on_its_own(rig: &Rig, subject: usize) -> Result<(), CalibrationError> {
+    match &rig.module {
+        Some(module) if module.frees.contains(&subject) => {
+            Err(CalibrationError::OnPlate { free: rig.control.frees[subject].name.clone() })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The hand of a FREE wound at `gamma`, rad, and the rule of how it turns.
+fn hand(gamma: f64) -> &'static str {
+    if gamma < 0.0 {
+        "an L FREE, which turns positive under pressure"
+    } else {
+        "an R FREE, which turns negative under pressure"
+    }
+}
+
 /// Why there is no calibration.
 #[derive(Debug, Error)]
 pub enum CalibrationError {
@@ -130,6 +150,29 @@ pub enum CalibrationError {
         run: String,
         /// Why.
         source: SweepError,
+    },
+    /// Its end turns with a plate.
+    #[error("the end of `{free}` is on its module's plate, which turns as all its FREEs let it")]
+    OnPlate {
+        /// The FREE.
+        free: String,
+    },
+    /// The FREE is of the other hand than its calibration says.
+    #[error(
+        "`{free}` turned to {:.1} deg under {:.2}, and its winding angle of {:.1} deg says that it is {}: the run {run}",
+        .turned.to_degrees(), Pressure::pascals(*.pressure), .gamma.to_degrees(), hand(*.gamma)
+    )]
+    Hand {
+        /// The FREE.
+        free: String,
+        /// The run's id.
+        run: String,
+        /// The winding angle of the calibration, rad.
+        gamma: f64,
+        /// How far it turned, rad ...
+        turned: f64,
+        /// ... and under which pressure, Pa.
+        pressure: f64,
     },
     /// The run says nothing, or nothing good, of the regulator.
     #[error("the run {run}: {reason}")]
@@ -209,6 +252,14 @@ impl CalibrationError {
             CalibrationError::Sweep { .. } => {
                 "look at the run's report: nothing may hold the FREE or leak, and the winding angle, its sign and the \
                  radius in the calibration must be right; the old calibration is untouched"
+            }
+            CalibrationError::OnPlate { .. } => {
+                "measure it before it is mounted, on a rig on which it hangs free with an IMU on its end"
+            }
+            CalibrationError::Hand { .. } => {
+                "look which way its fibres run: correct the sign of winding_angle_deg in its calibration, or mount the FREE \
+                 that belongs there; where the fibres are as written its IMU sits the other way round (`axis` in rig.toml); \
+                 the old calibration is untouched"
             }
             CalibrationError::Regulator { .. } => {
                 "look at the run's report; check supply, tubes and the unit's range and loop gains; the old calibration \

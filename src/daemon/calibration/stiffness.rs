@@ -3,11 +3,11 @@
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 
-use super::{CalibrationError, Finding, FoundValue, Origin, conditions, range};
+use super::{CalibrationError, Finding, FoundValue, Origin, conditions, on_its_own, range};
 use crate::config::calibration::keys;
 use crate::config::{Calibration, Conditions, Rig};
 use crate::fem::lumped::LumpedStiffness;
-use crate::ident::{Measured, SweepFit, fit_shape, fit_sweep};
+use crate::ident::{Measured, SweepError, SweepFit, fit_shape, fit_sweep};
 use crate::model::{EquilibriumError, Free, Kinematics, Law, Lumped};
 use crate::record::{Run, stiffness_sheet};
 use crate::units::PASCAL_PER_PSI;
@@ -67,6 +67,7 @@ pub fn highest_pressure(rig: &Rig, subject: usize) -> Result<f64, CalibrationErr
 /// # Errors
 /// As [`highest_pressure`].
 pub fn experiment(rig: &Rig, subject: usize) -> Result<String, CalibrationError> {
+    on_its_own(rig, subject)?;
     let highest = highest_pressure(rig, subject)? / PASCAL_PER_PSI;
     let mut text = format!("kind = \"sweep\"\nname = \"{NAME}\"\npressures_psi = [");
     for share in STAIRS {
@@ -84,7 +85,16 @@ pub fn experiment(rig: &Rig, subject: usize) -> Result<String, CalibrationError>
 pub fn evaluate(rig: &Rig, subject: usize, run: &Run, date: &str) -> Result<Finding, CalibrationError> {
     let free = &rig.control.frees[subject];
     let points = run.rest_points(subject)?;
-    let unfit = |source| CalibrationError::Sweep { run: run.id().to_owned(), source };
+    let unfit = |source| match source {
+        SweepError::OtherHand(turned) => CalibrationError::Hand {
+            free: free.name.clone(),
+            run: run.id().to_owned(),
+            gamma: free.free.gamma,
+            turned,
+            pressure: points.iter().map(|p| p.pressure).fold(0.0, f64::max),
+        },
+        source => CalibrationError::Sweep { run: run.id().to_owned(), source },
+    };
     // From the angle that the FREE was wound at, whatever a measurement before has made of it.
     let wound = rig.calibrations[subject].value(&keys::WINDING_ANGLE).unwrap_or(free.free.gamma);
     let wound = Free { gamma: wound, ..free.free };
