@@ -126,7 +126,7 @@ fn describe(status: &Status) -> String {
     }
     line(String::new());
     for free in &status.frees {
-        for device in free.imu.iter().chain([&free.regulator]) {
+        for device in free.devices() {
             line(format!("{:<12} {}", free.name, describe_device(device)));
         }
     }

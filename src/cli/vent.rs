@@ -60,7 +60,7 @@ fn describe(free: &FreeStatus) -> String {
         (None, _) => "commanded to zero; it measures no pressure".into(),
         (Some(true), Some(pressure)) => format!("vented, {:.2}", Pressure::pascals(pressure)),
         (Some(_), Some(pressure)) => format!("NOT vented, last seen at {:.2}", Pressure::pascals(pressure)),
-        (Some(_), None) => match &free.regulator.last_error {
+        (Some(_), None) => match free.sensor.as_ref().unwrap_or(&free.regulator).last_error.as_ref() {
             Some(error) => format!("NOT verified: {error}"),
             None => "NOT verified: no reading".into(),
         },

@@ -116,6 +116,16 @@ pub struct FreeStatus {
     pub imu: Option<DeviceStatus>,
     /// Its regulator.
     pub regulator: DeviceStatus,
+    /// The sensor of its pressure; `null` where its regulator measures that, or nothing does.
+    #[serde(default)]
+    pub sensor: Option<DeviceStatus>,
+}
+
+impl FreeStatus {
+    /// Its devices, IMU first.
+    pub fn devices(&self) -> impl Iterator<Item = &DeviceStatus> {
+        self.imu.iter().chain([&self.regulator]).chain(&self.sensor)
+    }
 }
 
 /// The serial line of a regulator, with everything on it.

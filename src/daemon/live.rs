@@ -42,6 +42,8 @@ pub struct FreeDevices {
     pub imu: Option<Arc<DeviceStatistics>>,
     /// Its regulator.
     pub regulator: Option<Arc<DeviceStatistics>>,
+    /// The sensor of its pressure, where its regulator has none.
+    pub sensor: Option<Arc<DeviceStatistics>>,
     /// The regulator's serial line.
     pub line: Option<Arc<LineStatistics>>,
 }
@@ -113,11 +115,17 @@ impl Live {
                 }
             };
             owners.push(thread);
-            // Statistics come in the order of the wiring: DACs, then IMUs.
-            let (dacs, imus) = statistics.split_at(wiring.dacs.len());
+            // Statistics come in the order of the wiring: DACs, ADCs, then IMUs.
+            let (dacs, rest) = statistics.split_at(wiring.dacs.len());
+            let (adcs, imus) = rest.split_at(wiring.adcs.len());
             for (wiring, statistics) in wiring.dacs.iter().zip(dacs) {
                 for channel in wiring.channels.iter().flatten() {
                     note(&mut devices, channel.free, |d| d.regulator = Some(Arc::clone(statistics)));
+                }
+            }
+            for (wiring, statistics) in wiring.adcs.iter().zip(adcs) {
+                for channel in wiring.channels.iter().flatten() {
+                    note(&mut devices, channel.free, |d| d.sensor = Some(Arc::clone(statistics)));
                 }
             }
             for (wiring, statistics) in wiring.imus.iter().zip(imus) {
@@ -146,7 +154,11 @@ impl Live {
             let owner = SerialOwner::new(&wiring, clock.fork(), timeout, open, command, samples, stop)?;
             for (unit, statistics) in wiring.units.iter().zip(&owner.statistics().units) {
                 let line = Arc::clone(&owner.statistics().line);
-                note(&mut devices, unit.free, |d| (d.regulator, d.line) = (Some(Arc::clone(statistics)), Some(line)));
+                let statistics = Some(Arc::clone(statistics));
+                note(&mut devices, unit.free, |d| {
+                    d.line = Some(line);
+                    if unit.gauge { d.sensor = statistics } else { d.regulator = statistics }
+                });
             }
             let thread = serial::spawn(&wiring.name, owner, promote.clone()).map_err(thread_failed)?;
             owners.push(thread);

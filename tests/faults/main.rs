@@ -3,6 +3,7 @@
 //! and judged by the record and by the true pressure in the FREE.
 
 mod adversary;
+mod analogue;
 mod drill;
 mod killed;
 mod lines;

@@ -2,6 +2,7 @@
 //!
 //! A test or a procedure holds a [`Mischief`] of each chip, and makes it misbehave while everything runs.
 
+mod ads1115;
 mod alicat;
 mod bno055;
 mod i2c;
@@ -12,6 +13,7 @@ mod pty;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+pub use ads1115::{Ads1115Chip, VoltageSource};
 pub use alicat::AlicatChip;
 pub use bno055::{Bno055Chip, Bno055Sim, Motion, Orientation};
 pub use i2c::{I2cChip, Nak, SimI2c, SimI2cError};
