@@ -171,6 +171,7 @@ fn describe_device(device: &DeviceStatus) -> String {
         ("errors", device.errors),
         ("implausible", device.implausible),
         ("resets", device.resets),
+        ("reset line pulled", device.pulls),
         ("reopened", device.reopens),
         ("losses", device.losses),
     ];

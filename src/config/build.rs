@@ -214,6 +214,7 @@ fn imus(raw: &RawRig, bus: &str) -> Vec<ImuWiring> {
                 frees: vec![index],
                 address: imu.address,
                 period: imu.period,
+                reset: imu.reset,
                 profile: free.calibration.imu_profile,
             }),
         }
@@ -232,7 +233,7 @@ fn dacs(raw: &RawRig, bus: &str) -> Vec<DacWiring> {
             dacs.push(DacWiring { address: *address, channels: [None; 4] });
             dacs.len() - 1
         });
-        dacs[at].channels[*channel] = dac_channel(index, &free.calibration);
+        dacs[at].channels[*channel] = Some(dac_channel(index, &free.calibration));
     }
     dacs
 }
@@ -251,12 +252,13 @@ fn adcs(raw: &RawRig, bus: &str) -> Vec<AdcWiring> {
     adcs
 }
 
-fn dac_channel(free: usize, known: &Calibration) -> Option<DacChannel> {
-    Some(DacChannel {
+/// What is not known has been noted: such a channel is told zero only.
+fn dac_channel(free: usize, known: &Calibration) -> DacChannel {
+    DacChannel {
         free,
-        zero_code: known.value(&keys::ZERO_CODE)?,
-        pascals_per_code: known.value(&keys::PRESSURE_PER_CODE)?,
-    })
+        zero_code: known.value(&keys::ZERO_CODE).unwrap_or_default(),
+        pascals_per_code: known.value(&keys::PRESSURE_PER_CODE).unwrap_or_default(),
+    }
 }
 
 /// What the simulated analogue regulator is scattered around; its tube hangs where `[free.sim]` says.

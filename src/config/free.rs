@@ -38,6 +38,8 @@ pub(super) struct RawImu {
     pub(super) address: u8,
     pub(super) axis: [f64; 3],
     pub(super) period: Duration,
+    /// Digital line of its reset pin.
+    pub(super) reset: Option<u32>,
 }
 
 /// `[free.regulator]`.
@@ -234,7 +236,10 @@ pub(super) fn read_imu(mut section: Section<'_>, i2c: &[RawI2c], earlier: &[RawF
             [0.0, 0.0, 1.0]
         }
     };
-    RawImu { bus, address, axis, period: duration(section.number("period_ms", 10.0, 5.0..=100.0)) }
+    let period = duration(section.number("period_ms", 10.0, 5.0..=100.0));
+    section.expect("reset_line");
+    let reset = section.has("reset_line").then(|| section.integer("reset_line", 0, 0..=1023) as u32);
+    RawImu { bus, address, axis, period, reset }
 }
 
 /// A written unit vector has a few digits only; its length is made exact.

@@ -185,6 +185,9 @@ pub struct DeviceStatus {
     pub implausible: u64,
     /// Resets that nobody asked for.
     pub resets: u64,
+    /// Times its reset line was pulled.
+    #[serde(default)]
+    pub pulls: u64,
     /// Times its bus was opened again.
     pub reopens: u64,
     /// Times it was set up.
@@ -211,6 +214,7 @@ impl DeviceStatus {
             retries: statistics.retries.get(),
             implausible: statistics.implausible.get(),
             resets: statistics.resets.get(),
+            pulls: statistics.pulls.get(),
             reopens: statistics.reopens.get(),
             connects: statistics.connects.get(),
             losses: statistics.losses.get(),

@@ -8,7 +8,7 @@ use std::time::Duration;
 use rtrb::Producer;
 
 use super::join::{Joints, join, simulated};
-use super::stepped::{Profiles, contacts, detached, lock, note_profiles};
+use super::stepped::{Profiles, contacts, detached, lock, note_profiles, simulate_resets};
 use super::tick::Switches;
 use super::{Bench, DaemonError, Pump};
 use crate::clock::{Clock, Time};
@@ -99,16 +99,22 @@ impl Live {
         for ((index, wiring), ports) in rig.wiring.i2c.iter().enumerate().zip(i2c) {
             let stop = Arc::clone(&stop_owners);
             let promote = promote.clone();
-            let (thread, statistics) = match sim.as_ref().and_then(|s| s.i2c(index)) {
-                Some((bus, clock)) => {
-                    let owner = I2cOwner::new(wiring, timeout, clock, move || Ok(bus.clone()), ports);
+            let (thread, statistics) = match sim.as_ref().and_then(|s| Some((s, s.i2c(index)?))) {
+                Some((sim, (bus, here))) => {
+                    let mut owner = I2cOwner::new(wiring, timeout, here, move || Ok(bus.clone()), ports);
+                    simulate_resets(&mut owner, sim, index, wiring, &clock);
                     let statistics = owner.statistics();
                     note_profiles(&mut profiles, &owner);
                     (named(&wiring.name, move || serve_i2c(owner, &stop, promote))?, statistics)
                 }
                 None => {
                     let device = wiring.device.clone();
-                    let owner = I2cOwner::new(wiring, timeout, clock.fork(), move || i2c::open(&device), ports);
+                    let mut owner = I2cOwner::new(wiring, timeout, clock.fork(), move || i2c::open(&device), ports);
+                    for (imu, line) in wiring.imus.iter().filter_map(|imu| Some((imu, imu.reset?))) {
+                        if let Some(gpio) = &rig.wiring.gpio {
+                            owner.attach_reset(imu.address, gpio::reset_line(output(gpio, line), &clock));
+                        }
+                    }
                     let statistics = owner.statistics();
                     note_profiles(&mut profiles, &owner);
                     (named(&wiring.name, move || serve_i2c(owner, &stop, promote))?, statistics)

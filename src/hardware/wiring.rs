@@ -55,6 +55,8 @@ pub struct ImuWiring {
     pub address: u8,
     /// Reading period; the fusion output comes at 100 Hz.
     pub period: Duration,
+    /// Digital line of its reset pin, where it is wired.
+    pub reset: Option<u32>,
     /// Saved calibration profile, restored when connecting.
     pub profile: Option<ImuProfile>,
 }

@@ -245,6 +245,12 @@ impl SimRig {
         self.coil_stuck.store(stuck, Ordering::Relaxed);
     }
 
+    /// The reset line of the IMU at `address` of the bus of that index.
+    pub fn reset_line(&self, index: usize, address: u8) -> Option<OpenPin<SimReset>> {
+        let (bus, _) = self.i2c(index)?;
+        Some(Box::new(move || Ok(SimReset { bus: bus.clone(), address })))
+    }
+
     /// The emergency stop.
     pub fn button(&self) -> Button {
         self.button.clone()
@@ -305,6 +311,27 @@ impl digital::OutputPin for SimOutput {
 
     fn set_high(&mut self) -> Result<(), Infallible> {
         self.set(true);
+        Ok(())
+    }
+}
+
+/// The simulated reset line of a chip.
+pub struct SimReset {
+    bus: SimI2c,
+    address: u8,
+}
+
+impl digital::ErrorType for SimReset {
+    type Error = Infallible;
+}
+
+impl digital::OutputPin for SimReset {
+    fn set_low(&mut self) -> Result<(), Infallible> {
+        self.bus.pull_reset(self.address);
+        Ok(())
+    }
+
+    fn set_high(&mut self) -> Result<(), Infallible> {
         Ok(())
     }
 }

@@ -68,7 +68,7 @@ impl Rig {
         let wiring = I2cWiring {
             name: "bench".into(),
             device: "/dev/i2c-1".into(),
-            imus: vec![ImuWiring { frees: vec![0, 1], address: 0x28, period: ms(10), profile: None }],
+            imus: vec![ImuWiring { frees: vec![0, 1], address: 0x28, period: ms(10), reset: None, profile: None }],
             dacs: vec![DacWiring { address: 0x60, channels: [Some(MAP), None, None, None] }],
             adcs: vec![],
         };
@@ -217,6 +217,19 @@ fn an_owner_that_ends_leaves_zero_behind() {
     let mut rig = Rig::start();
     rig.setpoint = 30_000.0;
     rig.run(ms(20), |_, _, _| {});
+    let Rig { owner, volts, .. } = rig;
+    let last = || volts.lock().expect("not poisoned").last().expect("written").1;
+    assert!(last() > 1.0);
+    drop(owner);
+    assert_eq!(last(), 0.0);
+}
+
+#[test]
+fn an_owner_that_cannot_reach_its_dac_at_the_end_tells_every_dac_by_the_general_call() {
+    let mut rig = Rig::start();
+    rig.setpoint = 30_000.0;
+    rig.run(ms(20), |_, _, _| {});
+    rig.dac_chip.always(Misbehaviour::Nak);
     let Rig { owner, volts, .. } = rig;
     let last = || volts.lock().expect("not poisoned").last().expect("written").1;
     assert!(last() > 1.0);
@@ -489,7 +502,7 @@ fn an_adapter_that_is_unplugged_is_let_go_of_and_taken_up_again() {
         let wiring = I2cWiring {
             name: "bench".into(),
             device: "/dev/i2c-7".into(),
-            imus: vec![ImuWiring { frees: vec![0], address: 0x28, period: ms(10), profile: None }],
+            imus: vec![ImuWiring { frees: vec![0], address: 0x28, period: ms(10), reset: None, profile: None }],
             dacs: vec![DacWiring { address: 0x60, channels: [Some(MAP), None, None, None] }],
             adcs: vec![],
         };

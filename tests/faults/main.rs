@@ -6,6 +6,7 @@ mod adversary;
 mod analogue;
 mod drill;
 mod killed;
+mod ladder;
 mod lines;
 mod live;
 mod matrix;

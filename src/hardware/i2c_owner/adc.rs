@@ -135,8 +135,15 @@ impl<I: I2c> AdcSeat<I> {
     fn climb(&mut self, clock: &Clock, open: Open<'_, I>) {
         let was_lost = self.recovery.is_lost();
         let rung = self.recovery.failed(clock.now(), clock.now());
-        if matches!(rung, Rung::Reopen | Rung::Lost) || !self.open {
-            self.reopen(open);
+        if (matches!(rung, Rung::Reopen | Rung::Lost) || !self.open)
+            && let Some(driver) = &mut self.driver
+        {
+            driver.replace_bus(Handle::closed());
+            self.open = false;
+            if let Some(bus) = Handle::anew(open, &self.statistics) {
+                driver.replace_bus(bus);
+                self.open = true;
+            }
         }
         if matches!(rung, Rung::Restart | Rung::Lost) {
             self.running = false;
@@ -149,20 +156,6 @@ impl<I: I2c> AdcSeat<I> {
             for channel in 0..4 {
                 self.stage(channel, clock.now(), f64::NAN, RegulatorHealth::Lost);
             }
-        }
-    }
-
-    fn reopen(&mut self, open: Open<'_, I>) {
-        let Some(driver) = &mut self.driver else { return };
-        driver.replace_bus(Handle::closed());
-        self.open = false;
-        match open() {
-            Ok(bus) => {
-                self.statistics.reopens.increment();
-                driver.replace_bus(Handle::on(bus));
-                self.open = true;
-            }
-            Err(error) => self.statistics.note_error(&error),
         }
     }
 

@@ -28,6 +28,7 @@ use self::dac::DacSeat;
 use self::imu::ImuSeat;
 pub use self::recovery::IMU_LOST_AFTER;
 use super::HardwareError;
+use super::gpio::ResetLine;
 use super::profile::ProfileDesk;
 use super::statistics::DeviceStatistics;
 use super::wiring::I2cWiring;
@@ -80,6 +81,13 @@ impl<I: I2c> I2cOwner<I> {
             adcs: wiring.adcs.iter().map(|w| AdcSeat::new(w.clone(), &name, now)).collect(),
             imus: wiring.imus.iter().map(|w| ImuSeat::new(w.clone(), &name, now)).collect(),
             clock,
+        }
+    }
+
+    /// Has the IMU at `address` reset by `line` where nothing else brings it back.
+    pub fn attach_reset(&mut self, address: u8, line: ResetLine) {
+        if let Some(seat) = self.imus.iter_mut().find(|seat| seat.wiring.address == address) {
+            seat.reset = Some(line);
         }
     }
 

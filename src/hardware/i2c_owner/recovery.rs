@@ -3,8 +3,8 @@
 //! | after | what |
 //! | --- | --- |
 //! | at once | two retries in the same turn, unless the failure itself took long (a stuck bus blocks) |
-//! | 50 ms | the bus is opened anew, once |
-//! | 150 ms | the device is set up anew |
+//! | 50 ms | the bus is opened anew, once, and nine clocks free a data line that somebody holds |
+//! | 150 ms | the device is set up anew; an IMU's reset line is pulled first, where it is wired |
 //! | 150 ms (DAC, ADC), 1 s (IMU) | it is lost, and says so; twice a second the whole ladder is tried again |
 //!
 //! Nothing here waits: between the rungs the bus belongs to the other devices. The first rungs are slower than

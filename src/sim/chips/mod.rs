@@ -31,6 +31,8 @@ pub enum Misbehaviour {
     Nak,
     /// Loses its power for a moment before the exchange and starts from nothing, as after a brown-out.
     Reset,
+    /// Hangs: does not acknowledge until its reset line is pulled ([`SimI2c::pull_reset`]) or its power is cut.
+    Hung,
     /// Answers with random bytes.
     Garbage,
     /// The most significant bit of one byte of the answer is flipped.
@@ -74,6 +76,15 @@ impl Mischief {
     /// Behaves from now on.
     pub fn stop(&self) {
         self.plan(|p| *p = Plan::default());
+    }
+
+    /// Its reset has been pulled: what hung runs again.
+    fn unhang(&self) {
+        self.plan(|p| {
+            if p.always == Misbehaviour::Hung {
+                *p = Plan::default();
+            }
+        });
     }
 
     /// The chip's side: what to do in this exchange.
