@@ -78,8 +78,10 @@ fn describe(free: &FreeStatus) -> String {
     let seen = match (free.vented, free.pressure_pa) {
         (None, _) => "commanded to zero; it measures no pressure".into(),
         (Some(true), Some(pressure)) => format!("vented, {:.2}", Pressure::pascals(pressure)),
-        (Some(_), Some(pressure)) => format!("NOT vented, last seen at {:.2}", Pressure::pascals(pressure)),
-        (Some(_), None) => match free.sensor.as_ref().unwrap_or(&free.regulator).last_error.as_ref() {
+        (Some(_), Some(pressure)) if free.regulator.age_s.is_some() => {
+            format!("NOT vented, last seen at {:.2}", Pressure::pascals(pressure))
+        }
+        (Some(_), _) => match free.sensor.as_ref().unwrap_or(&free.regulator).last_error.as_ref() {
             Some(error) => format!("NOT verified: {error}"),
             None => "NOT verified: no reading".into(),
         },

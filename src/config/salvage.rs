@@ -61,6 +61,10 @@ impl Salvage {
         let mut rig = build(raw, read);
         rig.control.require_realtime = false;
         rig.control.frees.iter_mut().for_each(only_to_vent);
+        for plant in &mut rig.bench.plants {
+            plant.nominal = Free::paper();
+            plant.regulator.full_scale = positive(plant.regulator.full_scale, FULL_SCALE);
+        }
         for unit in rig.wiring.serial.iter_mut().flat_map(|line| &mut line.units) {
             unit.full_scale = positive(unit.full_scale, FULL_SCALE);
         }
