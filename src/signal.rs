@@ -3,6 +3,8 @@
 //!
 //! SI units throughout: Pa (gauge), rad, rad/s, s. Signs as in [`crate::model`].
 
+use std::time::Duration;
+
 use serde::{Deserialize, Serialize};
 
 use crate::clock::Time;
@@ -118,6 +120,22 @@ pub struct PressureSample {
     pub status: RegulatorStatus,
     /// Whether the reading may be used.
     pub health: RegulatorHealth,
+}
+
+impl PressureSample {
+    /// What is known of a FREE whose regulator (`self`) measures nothing and whose pressure `sensor` measures: the
+    /// sensor's reading, with the regulator's set-point and what either reports. It is lost where either is, and once the
+    /// regulator has been silent for `patience` it is as old as that silence: what presses must be heard of.
+    pub fn measured_by(self, sensor: Self, patience: Duration) -> Self {
+        use RegulatorHealth::{Absent, Lost};
+        let health = match (self.health, sensor.health) {
+            (Lost, _) | (_, Lost) => Lost,
+            (Absent, _) => Absent,
+            (_, health) => health,
+        };
+        let time = if sensor.time.since(self.time) > patience { self.time } else { sensor.time };
+        Self { time, setpoint: self.setpoint, status: self.status.with(sensor.status), health, ..sensor }
+    }
 }
 
 /// What the tick tells every bus owner: latest value only, a stale one is never replayed.

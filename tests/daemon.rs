@@ -156,13 +156,37 @@ fn bad_usage_and_bad_configuration_have_status_2_and_start_nothing() {
     place.expect(&["set", "pressure", "3"], 2);
     place.expect(&["status", "--rig", "nowhere.toml"], 2);
     place.rewrite(|text| text.replace("vent_time_s = 1.5", "vent_time_s = -1").replace("seed = 1", "sead = 1"));
-    for command in ["run", "vent"] {
-        let text = place.expect(&[command], 2);
-        assert!(text.contains("vent_time_s") && text.contains("sead") && text.contains("remedy"), "{text}");
-    }
+    let text = place.expect(&["run"], 2);
+    assert!(text.contains("vent_time_s") && text.contains("sead") && text.contains("remedy"), "{text}");
     assert!(!place.path("runs/control.sock.lock").exists());
     // Who wants to stop a running rig is not kept from it by a mistake in a file.
     assert!(place.expect(&["estop"], 1).contains("no freerig daemon runs here"));
+}
+
+#[test]
+fn a_file_that_was_edited_into_a_wrong_one_is_vented_as_far_as_it_can_be_read() {
+    // What is wrong, the exit status, and what is said.
+    let wrong: [(&str, &str, i32, &str); 6] = [
+        ("max_pressure_psi = 10 ", "max_pressure_psi = \"ten\" ", 0, "must be a number"),
+        ("vent_time_s = 1.5", "vent_time_s = -1", 0, "vent_time_s"),
+        ("calibration = \"paper\"", "calibration = \"gone\"", 0, "gone.toml"),
+        ("unit = \"A\"", "unit = \"AB\"", 3, "there may be more"),
+        ("[sim]\nseed", "[sim\nseed", 3, "there may be more"),
+        ("line = \"line\"\nunit", "line = \"lime\"\nunit", 3, "NOT verified"),
+    ];
+    attempt(|place| {
+        let sound = std::fs::read_to_string(place.path("rig.toml")).unwrap();
+        for (from, to, status, words) in wrong {
+            assert!(sound.contains(from), "{from}");
+            place.rewrite(|_| sound.replace(from, to));
+            let text = place.expect(&["vent"], status);
+            assert!(text.contains("venting what can be read of it") && text.contains(words), "{to}: {text}");
+            assert_eq!(status == 0, text.contains("paper: vented") && !text.contains("more"), "{to}: {text}");
+        }
+        // Nothing can be read at all.
+        place.rewrite(|_| "name = \"bench\"\n".into());
+        assert!(place.expect(&["vent"], 2).contains("at least one FREE"));
+    });
 }
 
 #[test]

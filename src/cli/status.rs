@@ -126,7 +126,7 @@ fn describe(status: &Status) -> String {
     }
     line(String::new());
     for free in &status.frees {
-        for device in free.imu.iter().chain([&free.regulator]) {
+        for device in free.devices() {
             line(format!("{:<12} {}", free.name, describe_device(device)));
         }
     }
@@ -174,6 +174,7 @@ fn describe_device(device: &DeviceStatus) -> String {
         ("errors", device.errors),
         ("implausible", device.implausible),
         ("resets", device.resets),
+        ("reset line pulled", device.pulls),
         ("reopened", device.reopens),
         ("losses", device.losses),
     ];

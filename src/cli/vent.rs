@@ -7,7 +7,7 @@ use serde_json::json;
 use tracing::level_filters::LevelFilter;
 
 use super::{Context, Failure, log};
-use crate::config::Rig;
+use crate::config::{Rig, Salvage};
 use crate::control::fault;
 use crate::daemon::api::FreeStatus;
 use crate::daemon::{DaemonError, RigLock, vent};
@@ -20,14 +20,27 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// What `freerig vent` takes.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "The service runs it whenever the daemon has ended. Where a daemon owns the rig, `freerig estop` is the way.\n\nExit status 3 where the vent could not be verified.\n\nExamples:\n  freerig vent\n  freerig vent --rig /etc/freerig/rig.toml"
+    after_help = "The service runs it whenever the daemon has ended. Where a daemon owns the rig, `freerig estop` is the way.\n\nOf a rig.toml with problems it vents what can be read.\n\nExit status 3 where the vent could not be verified.\n\nExamples:\n  freerig vent\n  freerig vent --rig /etc/freerig/rig.toml"
 )]
 pub struct Args {}
 
 /// Vents the rig and says what is seen of it.
 pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
     log::start(LevelFilter::WARN);
-    let rig = Rig::load(&context.rig)?;
+    let (rig, salvage) = match Rig::load(&context.rig) {
+        Ok(rig) => (rig, None),
+        Err(error) => {
+            let salvage = Salvage::read(&context.rig).map_err(|_| error)?;
+            (salvage.rig.clone(), Some(salvage))
+        }
+    };
+    if let Some(salvage) = &salvage {
+        context.note(format!(
+            "{}
+venting what can be read of it",
+            salvage.error
+        ));
+    }
     let _lock = RigLock::take(&rig, PATIENCE).map_err(|error| match error {
         DaemonError::Owned(_) => Failure::rig(error).remedy("it is the daemon's to vent: `freerig estop`"),
         error => Failure::rig(error),
@@ -40,16 +53,22 @@ pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
         ));
     }
     let (vented, status) = vent::vent(&rig).map_err(Failure::rig)?;
+    let whole = salvage.as_ref().is_none_or(Salvage::is_whole);
     if context.json {
-        context.print_json(&json!({ "simulated": status.simulated, "vented": vented, "frees": status.frees }))?;
+        context
+            .print_json(&json!({ "simulated": status.simulated, "vented": vented && whole, "frees": status.frees }))?;
     } else {
         for free in &status.frees {
             context.print(describe(free))?;
         }
     }
-    match vented {
-        true => Ok(()),
-        false => {
+    match (vented, whole) {
+        (true, true) => Ok(()),
+        (true, false) => {
+            Err(Failure::fault(anyhow!("what could be read is vented, but rig.toml is wrong: there may be more"))
+                .remedy("correct the file and vent again, or look at the FREEs themselves"))
+        }
+        (false, _) => {
             Err(Failure::fault(anyhow!("the vent is not verified")).remedy(fault::row(FaultCode::VentFailed).remedy))
         }
     }
@@ -59,8 +78,10 @@ fn describe(free: &FreeStatus) -> String {
     let seen = match (free.vented, free.pressure_pa) {
         (None, _) => "commanded to zero; it measures no pressure".into(),
         (Some(true), Some(pressure)) => format!("vented, {:.2}", Pressure::pascals(pressure)),
-        (Some(_), Some(pressure)) => format!("NOT vented, last seen at {:.2}", Pressure::pascals(pressure)),
-        (Some(_), None) => match &free.regulator.last_error {
+        (Some(_), Some(pressure)) if free.regulator.age_s.is_some() => {
+            format!("NOT vented, last seen at {:.2}", Pressure::pascals(pressure))
+        }
+        (Some(_), _) => match free.sensor.as_ref().unwrap_or(&free.regulator).last_error.as_ref() {
             Some(error) => format!("NOT verified: {error}"),
             None => "NOT verified: no reading".into(),
         },

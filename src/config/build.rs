@@ -3,12 +3,15 @@
 use std::time::Duration;
 
 use super::calibration::{Calibration, keys};
-use super::free::{Connection, RawFree};
+use super::free::{Connection, RawFree, RawSensor, SensorConnection};
 use super::load::SourceFile;
 use super::rig::{Backend, Rig};
 use super::sections::{RawRig, duration};
 use crate::control::{ControlConfig, ControllerKind, FreeControl, ImuChannel, ModelSpec, RegulatorChannel};
-use crate::hardware::wiring::{DacChannel, DacWiring, I2cWiring, ImuWiring, SerialWiring, UnitWiring, Wiring};
+use crate::hardware::i2c_owner::ADC_TURN;
+use crate::hardware::wiring::{
+    AdcChannel, AdcWiring, DacChannel, DacWiring, I2cWiring, ImuWiring, SerialWiring, UnitWiring, Wiring,
+};
 use crate::sim::{AnalogueSim, BenchConfig, ImuSim, ModuleSim, PlantSim, RegulatorSim};
 
 /// Characters of one transaction with an Alicat unit: `AS5.0000\r`, its reply `A +050.42 +050.42\r`, and the 3.5
@@ -80,8 +83,8 @@ fn free_control(raw: &RawRig, index: usize, free: &RawFree) -> FreeControl {
             lag: Duration::ZERO,
             dead_time: Duration::ZERO,
             fastest_fill: 0.0,
-            full_scale: free.regulator.full_scale,
-            measures: matches!(free.regulator.connection, Connection::Alicat { .. }),
+            full_scale: free.full_scale(),
+            measures: matches!(free.regulator.connection, Connection::Alicat { .. }) || free.sensor.is_some(),
         },
     };
     take(&mut control, &free.calibration, transport(raw, free));
@@ -120,7 +123,10 @@ impl Rig {
 
     /// Time of a reading on its way back, s; zero where there is no such FREE.
     pub fn reply(&self, index: usize) -> f64 {
-        self.transport(index) * (TRANSACTION_CHARACTERS - COMMAND_CHARACTERS) / COMMAND_CHARACTERS
+        let line = self.wiring.serial.iter().find(|line| line.units.iter().any(|unit| unit.free == index));
+        line.map_or(0.0, |line| {
+            (TRANSACTION_CHARACTERS - COMMAND_CHARACTERS) * BITS_PER_CHARACTER / f64::from(line.baud)
+        })
     }
 
     /// Has the FREE `index` controlled by what `calibration` says; the simulated FREE stays what it is. Gains that the
@@ -135,14 +141,24 @@ impl Rig {
     }
 }
 
-/// Period at which the FREE's regulator is served: every unit on its line comes in between.
+/// Period at which the FREE's pressure is measured, or its regulator told where nothing measures it: every unit on its
+/// line, and every channel of its ADC, comes in between.
 fn regulator_period(raw: &RawRig, free: &RawFree) -> Duration {
-    let Connection::Alicat { line, .. } = &free.regulator.connection else { return DAC_PERIOD };
-    let units = raw
-        .frees
-        .iter()
-        .filter(|other| matches!(&other.regulator.connection, Connection::Alicat { line: of, .. } if of == line));
-    duration(round_of(units.count(), baud(raw, line)))
+    if let Some((line, _)) = free.unit() {
+        let units = raw.frees.iter().filter(|other| other.unit().is_some_and(|(of, _)| of == line));
+        return duration(round_of(units.count(), baud(raw, line)));
+    }
+    let Some((bus, address, ..)) = adc_of(free) else { return DAC_PERIOD };
+    let channels = raw.frees.iter().filter_map(adc_of).filter(|(b, a, ..)| *b == bus && *a == address).count();
+    DAC_PERIOD.max(ADC_TURN * channels as u32)
+}
+
+/// Bus, address, channel and voltages of the ADC that measures the FREE's pressure.
+fn adc_of(free: &RawFree) -> Option<(&str, u8, usize, (f64, f64))> {
+    match &free.sensor.as_ref()?.connection {
+        SensorConnection::Adc { bus, address, channel, volts } => Some((bus, *address, *channel, *volts)),
+        _ => None,
+    }
 }
 
 /// From the taking of a command to its arrival, s.
@@ -178,6 +194,7 @@ fn wiring(raw: &RawRig) -> Wiring {
                 device: bus.device.clone(),
                 imus: imus(raw, &bus.name),
                 dacs: dacs(raw, &bus.name),
+                adcs: adcs(raw, &bus.name),
             })
             .collect(),
         serial: raw
@@ -206,6 +223,7 @@ fn imus(raw: &RawRig, bus: &str) -> Vec<ImuWiring> {
                 frees: vec![index],
                 address: imu.address,
                 period: imu.period,
+                reset: imu.reset,
                 profile: free.calibration.imu_profile,
             }),
         }
@@ -224,17 +242,32 @@ fn dacs(raw: &RawRig, bus: &str) -> Vec<DacWiring> {
             dacs.push(DacWiring { address: *address, channels: [None; 4] });
             dacs.len() - 1
         });
-        dacs[at].channels[*channel] = dac_channel(index, &free.calibration);
+        dacs[at].channels[*channel] = Some(dac_channel(index, &free.calibration));
     }
     dacs
 }
 
-fn dac_channel(free: usize, known: &Calibration) -> Option<DacChannel> {
-    Some(DacChannel {
+fn adcs(raw: &RawRig, bus: &str) -> Vec<AdcWiring> {
+    let mut adcs: Vec<AdcWiring> = Vec::new();
+    for (index, free) in raw.frees.iter().enumerate() {
+        let Some((_, address, channel, (zero, full))) = adc_of(free).filter(|(of, ..)| *of == bus) else { continue };
+        let at = adcs.iter().position(|adc| adc.address == address).unwrap_or_else(|| {
+            adcs.push(AdcWiring { address, channels: [None; 4] });
+            adcs.len() - 1
+        });
+        let pascals_per_volt = free.full_scale() / (full - zero);
+        adcs[at].channels[channel] = Some(AdcChannel { free: index, zero_volts: zero, pascals_per_volt });
+    }
+    adcs
+}
+
+/// What is not known has been noted: such a channel is told zero only.
+fn dac_channel(free: usize, known: &Calibration) -> DacChannel {
+    DacChannel {
         free,
-        zero_code: known.value(&keys::ZERO_CODE)?,
-        pascals_per_code: known.value(&keys::PRESSURE_PER_CODE)?,
-    })
+        zero_code: known.value(&keys::ZERO_CODE).unwrap_or_default(),
+        pascals_per_code: known.value(&keys::PRESSURE_PER_CODE).unwrap_or_default(),
+    }
 }
 
 /// What the simulated analogue regulator is scattered around; its tube hangs where `[free.sim]` says.
@@ -250,14 +283,16 @@ fn analogue(free: &RawFree) -> Option<AnalogueSim> {
 fn units(raw: &RawRig, line: &str) -> Vec<UnitWiring> {
     let frees = raw.frees.iter().enumerate();
     frees
-        .filter_map(|(index, free)| match &free.regulator.connection {
-            Connection::Alicat { line: of, id, pascals_per_unit } if of == line => Some(UnitWiring {
-                free: index,
-                id: *id,
-                full_scale: free.regulator.full_scale,
-                pascals_per_unit: *pascals_per_unit,
-            }),
-            _ => None,
+        .filter_map(|(index, free)| {
+            let (of, id, pascals_per_unit, gauge) = match (&free.regulator.connection, &free.sensor) {
+                (Connection::Alicat { line, id, pascals_per_unit }, _) => (line, *id, *pascals_per_unit, false),
+                (_, Some(RawSensor { connection: SensorConnection::Alicat { line, id, pascals_per_unit }, .. })) => {
+                    (line, *id, *pascals_per_unit, true)
+                }
+                _ => return None,
+            };
+            let full_scale = free.full_scale();
+            (of == line).then_some(UnitWiring { free: index, gauge, id, full_scale, pascals_per_unit })
         })
         .collect()
 }

@@ -26,6 +26,8 @@ pub(super) struct RawFree {
     pub(super) model: bool,
     pub(super) imu: Option<RawImu>,
     pub(super) regulator: RawRegulator,
+    /// What measures the pressure of a regulator that does not.
+    pub(super) sensor: Option<RawSensor>,
     pub(super) limits: Limits,
     pub(super) knob: Option<RawKnob>,
     pub(super) twin: RawTwin,
@@ -38,6 +40,8 @@ pub(super) struct RawImu {
     pub(super) address: u8,
     pub(super) axis: [f64; 3],
     pub(super) period: Duration,
+    /// Digital line of its reset pin.
+    pub(super) reset: Option<u32>,
 }
 
 /// `[free.regulator]`.
@@ -58,6 +62,41 @@ pub(super) enum Connection {
     Dac { bus: String, address: u8, channel: usize },
 }
 
+/// `[free.pressure_sensor]`.
+#[derive(Debug)]
+pub(super) struct RawSensor {
+    pub(super) full_scale: f64,
+    pub(super) connection: SensorConnection,
+}
+
+/// How a pressure sensor is reached.
+#[derive(Debug)]
+pub(super) enum SensorConnection {
+    /// Not told, or wrongly: the problem has been noted.
+    Unknown,
+    /// An Alicat unit that is told nothing.
+    Alicat { line: String, id: u8, pascals_per_unit: f64 },
+    /// A channel of an ADS1115: V without pressure, and at full scale.
+    Adc { bus: String, address: u8, channel: usize, volts: (f64, f64) },
+}
+
+impl RawFree {
+    /// Full scale of whatever measures its pressure, or is told it, Pa.
+    pub(super) fn full_scale(&self) -> f64 {
+        self.sensor.as_ref().map_or(self.regulator.full_scale, |sensor| sensor.full_scale)
+    }
+
+    /// The serial line that its regulator or its sensor hangs on, with the unit's id.
+    pub(super) fn unit(&self) -> Option<(&str, u8)> {
+        match (&self.regulator.connection, self.sensor.as_ref().map(|sensor| &sensor.connection)) {
+            (Connection::Alicat { line, id, .. }, _) | (_, Some(SensorConnection::Alicat { line, id, .. })) => {
+                Some((line, *id))
+            }
+            _ => None,
+        }
+    }
+}
+
 /// `[free.sim]`: the simulated twin.
 #[derive(Debug)]
 pub(super) struct RawTwin {
@@ -74,6 +113,8 @@ pub(super) struct RawTwin {
 
 /// Codes of a DAC.
 const CODES: f64 = 4095.0;
+/// Least difference between a pressure sensor's voltages without pressure and at full scale, V.
+const LEAST_SPAN: f64 = 0.5;
 /// Channels of a DAC by their letters.
 const CHANNELS: [(&str, usize); 4] = [("A", 0), ("B", 1), ("C", 2), ("D", 3)];
 /// Highest pressure that makes sense in a FREE, psi.
@@ -127,7 +168,9 @@ pub(super) fn read_free(
             ),
         );
     }
-    let limits = read_limits(section.section("limits"), &regulator);
+    let sensor = read_sensor(&mut section, &regulator, i2c, serial, earlier);
+    let measured = sensor.as_ref().map_or(regulator.full_scale, |sensor| sensor.full_scale.min(regulator.full_scale));
+    let limits = read_limits(section.section("limits"), measured);
     let twin = read_twin(section.section("sim"));
     let calibration = calibration.unwrap_or_default();
     let own = calibration.free().direction();
@@ -135,7 +178,7 @@ pub(super) fn read_free(
     if knob.is_none() {
         section.expect("knob");
     }
-    RawFree { name, calibration, gains, derivative_on, feedforward, model, imu, regulator, limits, knob, twin }
+    RawFree { name, calibration, gains, derivative_on, feedforward, model, imu, regulator, sensor, limits, knob, twin }
 }
 
 fn read_calibration(section: &mut Section<'_>, name: &str, library: &mut Library<'_>) -> Option<Calibration> {
@@ -200,7 +243,10 @@ pub(super) fn read_imu(mut section: Section<'_>, i2c: &[RawI2c], earlier: &[RawF
             [0.0, 0.0, 1.0]
         }
     };
-    RawImu { bus, address, axis, period: duration(section.number("period_ms", 10.0, 5.0..=100.0)) }
+    let period = duration(section.number("period_ms", 10.0, 5.0..=100.0));
+    section.expect("reset_line");
+    let reset = section.has("reset_line").then(|| section.integer("reset_line", 0, 0..=1023) as u32);
+    RawImu { bus, address, axis, period, reset }
 }
 
 /// A written unit vector has a few digits only; its length is made exact.
@@ -227,6 +273,12 @@ fn read_regulator(mut section: Section<'_>, i2c: &[RawI2c], serial: &[RawSerial]
 }
 
 fn read_alicat(section: &mut Section<'_>, serial: &[RawSerial], earlier: &[RawFree]) -> Connection {
+    let (line, id, pascals_per_unit) = read_unit(section, serial, earlier);
+    Connection::Alicat { line, id, pascals_per_unit }
+}
+
+/// Line, id and unit of pressure of an Alicat unit.
+fn read_unit(section: &mut Section<'_>, serial: &[RawSerial], earlier: &[RawFree]) -> (String, u8, f64) {
     let line = read_bus(section, "line", serial.iter().map(|line| line.name.as_str()), "serial");
     let text = section.optional_text("unit").unwrap_or_else(|| "A".into());
     let id = match text.as_bytes() {
@@ -236,17 +288,72 @@ fn read_alicat(section: &mut Section<'_>, serial: &[RawSerial], earlier: &[RawFr
             b'A'
         }
     };
-    let taken = earlier.iter().find(|free| match &free.regulator.connection {
-        Connection::Alicat { line: other, id: other_id, .. } => !line.is_empty() && *other == line && *other_id == id,
-        _ => false,
-    });
+    let taken = earlier.iter().find(|free| !line.is_empty() && free.unit() == Some((line.as_str(), id)));
     if let Some(other) = taken {
         let rule = format!("FREE `{}` has unit {} of line `{line}` already", other.name, char::from(id));
         section.reject("unit", rule, "give the second unit another id on its front panel, and write it here");
     }
     let units = [("psi", PASCAL_PER_PSI), ("kPa", 1e3), ("bar", 1e5), ("mbar", 100.0), ("Pa", 1.0)];
     let pascals_per_unit = section.choice("displays", Some(PASCAL_PER_PSI), &units).unwrap_or(PASCAL_PER_PSI);
-    Connection::Alicat { line, id, pascals_per_unit }
+    (line, id, pascals_per_unit)
+}
+
+/// `[free.pressure_sensor]`, where there is one.
+fn read_sensor(
+    section: &mut Section<'_>,
+    regulator: &RawRegulator,
+    i2c: &[RawI2c],
+    serial: &[RawSerial],
+    earlier: &[RawFree],
+) -> Option<RawSensor> {
+    const KEY: &str = "pressure_sensor";
+    section.expect(KEY);
+    if !section.has(KEY) {
+        return None;
+    }
+    let mut own = section.section(KEY);
+    let kind = own.choice("kind", None, &[("alicat", Some(true)), ("ads1115", Some(false))]).flatten();
+    let full_scale = own.number("full_scale_psi", None, 0.5..=PRESSURE_CEILING);
+    let connection = match kind {
+        Some(true) => {
+            let (line, id, pascals_per_unit) = read_unit(&mut own, serial, earlier);
+            SensorConnection::Alicat { line, id, pascals_per_unit }
+        }
+        Some(false) => read_adc(&mut own, i2c, earlier),
+        None => {
+            own.accept_rest();
+            SensorConnection::Unknown
+        }
+    };
+    drop(own);
+    if let Connection::Alicat { .. } = regulator.connection {
+        section.reject(KEY, "an Alicat regulator measures its pressure itself", "remove it");
+        return None;
+    }
+    Some(RawSensor { full_scale, connection })
+}
+
+fn read_adc(section: &mut Section<'_>, i2c: &[RawI2c], earlier: &[RawFree]) -> SensorConnection {
+    let bus = read_bus(section, "bus", i2c.iter().map(|bus| bus.name.as_str()), "i2c");
+    let address = section.integer("address", 0x48, 0x48..=0x4B) as u8;
+    let channel = section.integer("channel", None, 0..=3) as usize;
+    let zero = section.number("zero_v", 0.5, 0.0..=5.0);
+    let full = section.number("full_v", 4.5, 0.0..=5.0);
+    if full - zero < LEAST_SPAN {
+        let rule = format!("must be at least {LEAST_SPAN} above zero_v");
+        section.reject("full_v", rule, "write the voltages of the sensor's data sheet, for example 0.5 and 4.5");
+    }
+    let same = |free: &RawFree| match free.sensor.as_ref().map(|sensor| &sensor.connection) {
+        Some(SensorConnection::Adc { bus: b, address: a, channel: c, .. }) => {
+            *b == bus && *a == address && *c == channel
+        }
+        _ => false,
+    };
+    if let Some(other) = earlier.iter().find(|free| same(free)) {
+        let rule = format!("FREE `{}` has channel {channel} of the ADC at {address:#04x} already", other.name);
+        section.reject("channel", rule, "wire the sensor to a channel of its own, and write it here");
+    }
+    SensorConnection::Adc { bus, address, channel, volts: (zero, full) }
 }
 
 fn read_dac(section: &mut Section<'_>, i2c: &[RawI2c], earlier: &[RawFree]) -> Connection {
@@ -286,7 +393,8 @@ fn read_bus<'n>(
     name
 }
 
-fn read_limits(mut section: Section<'_>, regulator: &RawRegulator) -> Limits {
+/// `full_scale` is that of whatever measures the pressure, or is told it, Pa.
+fn read_limits(mut section: Section<'_>, full_scale: f64) -> Limits {
     let psi = 0.1..=PRESSURE_CEILING;
     let max = section.number("max_pressure_psi", None, psi.clone());
     let warn = section.optional_number("warn_pressure_psi", psi.clone()).unwrap_or(max + 0.5 * PASCAL_PER_PSI);
@@ -307,10 +415,10 @@ fn read_limits(mut section: Section<'_>, regulator: &RawRegulator) -> Limits {
             "lower the other limits: the proof pressure is what the FREE has been tested to",
         );
     }
-    if regulator.full_scale < hard {
+    if full_scale < hard {
         let rule = format!(
-            "must be within the regulator's full scale of {}: its sensor could not see it",
-            psi_text(regulator.full_scale)
+            "must be within the full scale of {} of the regulator and of what measures it: it could not be seen",
+            psi_text(full_scale)
         );
         let key = if section.has("hard_pressure_psi") { "hard_pressure_psi" } else { "max_pressure_psi" };
         section.reject(key, rule, "lower it, or use a regulator of a wider range");

@@ -47,6 +47,7 @@ const SUFFIXES: &[Suffix] = &[
     ("_mib", "memory", 1024.0 * 1024.0),
     ("_bd", "line rate", 1.0),
     ("_n", "force", 1.0),
+    ("_v", "voltage", 1.0),
     ("_m", "length", 1.0),
     ("_s", "time", 1.0),
 ];

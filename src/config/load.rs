@@ -45,6 +45,13 @@ pub(super) struct Files {
     problems: Vec<Problem>,
 }
 
+impl Files {
+    /// The files, and what is wrong with them.
+    pub(super) fn into_parts(self) -> (Vec<SourceFile>, Vec<Problem>) {
+        (self.read, self.problems)
+    }
+}
+
 /// The calibrations of a directory, each read once.
 #[derive(Debug)]
 pub(super) struct Library<'f> {
@@ -93,7 +100,7 @@ fn names(directory: &Path) -> Vec<String> {
     names
 }
 
-fn read_description(path: &Path) -> Result<SourceFile, ConfigError> {
+pub(super) fn read_description(path: &Path) -> Result<SourceFile, ConfigError> {
     SourceFile::read(path).map_err(|error| ConfigError {
         problems: vec![Problem {
             file: path.to_owned(),
@@ -107,7 +114,7 @@ fn read_description(path: &Path) -> Result<SourceFile, ConfigError> {
 }
 
 /// The folder that relative paths of the rig's description start from.
-fn base(path: &Path) -> PathBuf {
+pub(super) fn base(path: &Path) -> PathBuf {
     path.parent().unwrap_or(Path::new("")).to_owned()
 }
 

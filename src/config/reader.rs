@@ -32,10 +32,13 @@ impl<'a> Source<'a> {
 
     /// The document; syntax errors are noted, and leave nothing worth reading on.
     pub(super) fn parse(&self) -> Option<DeTable<'a>> {
+        let table = self.parse_as_far_as_possible();
+        self.problems.borrow().is_empty().then_some(table)
+    }
+
+    /// The document, or what is left of it behind its syntax errors, which are noted.
+    pub(super) fn parse_as_far_as_possible(&self) -> DeTable<'a> {
         let (table, errors) = DeTable::parse_recoverable(self.text);
-        if errors.is_empty() {
-            return Some(table.into_inner());
-        }
         for error in errors {
             let span = error.span();
             self.problems.borrow_mut().push(Problem {
@@ -47,7 +50,7 @@ impl<'a> Source<'a> {
                 remedy: "correct the syntax; the other keys are checked once the file can be read".into(),
             });
         }
-        None
+        table.into_inner()
     }
 
     /// The problems found, in the order of the lines.

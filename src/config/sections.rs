@@ -81,6 +81,9 @@ pub(super) fn read_rig(mut root: Section<'_>, base: &Path, files: &mut Files) ->
     let backend = root.choice("backend", Some(Backend::Sim), &backends).unwrap_or(Backend::Sim);
     let frees = read_frees(&mut root, &i2c, &serial, &mut Library::new(&calibration_directory, files), backend);
     let module = read_module(&mut root, &i2c, &frees);
+    let gpio = root.has("gpio").then(|| read_gpio(root.section("gpio")));
+    root.expect("gpio");
+    check_resets(&root, gpio.as_ref(), &frees, module.as_ref());
     let safety = read_safety(root.section("safety"), &frees);
     check_lines(&mut root, &serial, &frees, safety.command_timeout);
     RawRig {
@@ -90,7 +93,7 @@ pub(super) fn read_rig(mut root: Section<'_>, base: &Path, files: &mut Files) ->
         safety,
         record: read_record(root.section("record")),
         socket: read_socket(root.section("socket"), base),
-        gpio: root.has("gpio").then(|| read_gpio(root.section("gpio"))),
+        gpio,
         sim: read_sim(root.section("sim")),
         frees,
         module,
@@ -145,8 +148,7 @@ fn read_safety(mut section: Section<'_>, frees: &[RawFree]) -> RawSafety {
 fn check_lines(root: &mut Section<'_>, serial: &[RawSerial], frees: &[RawFree], timeout: Duration) {
     for (name, mut section) in root.named("serial") {
         section.accept_rest();
-        let on =
-            |free: &&RawFree| matches!(&free.regulator.connection, Connection::Alicat { line, .. } if *line == name);
+        let on = |free: &&RawFree| free.unit().is_some_and(|(line, _)| line == name);
         let (units, baud) = (frees.iter().filter(on).count(), serial.iter().find(|line| line.name == name));
         let Some(baud) = baud.map(|line| line.baud).filter(|baud| BAUDS.contains(baud)) else { continue };
         let in_time = |baud: u32| round_of(units, baud) <= timeout.as_secs_f64();
@@ -221,6 +223,27 @@ fn read_gpio(mut section: Section<'_>) -> GpioWiring {
         }
     }
     GpioWiring { chip, dump_valve, heartbeat, estop, supply }
+}
+
+/// The IMUs' reset lines are lines of `[gpio]`, and nobody else's.
+fn check_resets(root: &Section<'_>, gpio: Option<&GpioWiring>, frees: &[RawFree], module: Option<&RawModule>) {
+    let imus = frees.iter().filter_map(|free| free.imu.as_ref()).chain(module.and_then(|module| module.imu.as_ref()));
+    let mut taken: Vec<u32> = gpio
+        .into_iter()
+        .flat_map(|gpio| [gpio.dump_valve, gpio.heartbeat, gpio.estop, gpio.supply])
+        .flatten()
+        .collect();
+    for line in imus.filter_map(|imu| imu.reset) {
+        if gpio.is_none() {
+            let rule = format!("an IMU has `reset_line = {line}`, and there is no `[gpio]`");
+            root.reject("gpio", rule, "add `[gpio]` with the chip that the line belongs to");
+        }
+        if taken.contains(&line) {
+            let rule = format!("line {line} is there twice, once as the `reset_line` of an IMU");
+            root.reject("gpio", rule, "give every line a number of its own (gpioinfo lists them)");
+        }
+        taken.push(line);
+    }
 }
 
 fn read_sim(mut section: Section<'_>) -> RawSim {

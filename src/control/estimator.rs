@@ -6,7 +6,8 @@
 //! said it would be: a FREE turns beyond a full turn.
 //!
 //! **Plausible** is a reading with a norm within 0.02 of one, a rate within the gyro's range, a tilt below 160 deg, and an angle that the gyro
-//! can explain ([`JUMP_MAX`], growing by [`JUMP_RATE`] with the time since the reading before). Any other is
+//! can explain ([`JUMP_MAX`], growing by [`JUMP_RATE`] with the time since the reading before). A gyro at the end of its
+//! range says "at least": then the angle may have moved twice as far. Any other is
 //! refused and counted by the interlocks; the estimate goes on from the last good one. Between two sessions the
 //! zero belongs to nobody: there, an axis that stays tilted for [`NEW_ZERO_AFTER`] (the IMU was mounted anew, or a
 //! reset has turned its north) becomes the new zero.
@@ -47,6 +48,8 @@ pub const JUMP_RATE: f64 = 5.0;
 pub const NEW_ZERO_AFTER: f64 = 0.6;
 /// Fastest rate that a reading may give, rad/s: the gyro's range is 2000 deg/s.
 pub const RATE_MAX: f64 = 36.0;
+/// From here on the gyro is at the end of its range and the FREE may turn faster, rad/s: 1990 deg/s. One that bursts does.
+pub const RATE_FULL: f64 = 34.7;
 /// Longest time over which a reading is extrapolated, s.
 pub const HORIZON_MAX: f64 = 0.05;
 
@@ -157,9 +160,13 @@ impl Estimator {
         let e = &mut self.estimate;
         let angle = if e.valid {
             let elapsed = taken.seconds_since(self.accepted).max(0.0);
-            let expected = e.measured_angle + 0.5 * (e.measured_rate + rate) * elapsed.min(HORIZON_MAX);
+            let explained = elapsed.min(HORIZON_MAX);
+            let expected = e.measured_angle + 0.5 * (e.measured_rate + rate) * explained;
             let angle = unwrap(twist, expected);
-            if (angle - expected).abs() > JUMP_MAX + JUMP_RATE * (elapsed - self.period).max(0.0) {
+            let fastest = rate.abs().max(e.measured_rate.abs());
+            // At most 1.8 rad: far from the half turn at which a turn could be lost.
+            let beyond = if fastest >= RATE_FULL { fastest * explained } else { 0.0 };
+            if (angle - expected).abs() > JUMP_MAX + beyond + JUMP_RATE * (elapsed - self.period).max(0.0) {
                 return Reading::Refused;
             }
             angle
@@ -368,6 +375,21 @@ mod tests {
         // The smoothing adds a lag of the correction, not of the motion: half as much again is room enough.
         assert!(angle_error < 0.75 * acceleration * horizon * horizon + 3e-4, "{angle_error}");
         assert!(rate_error < acceleration * horizon + 2e-3, "{rate_error}");
+    }
+
+    #[test]
+    fn a_snap_that_is_too_fast_for_the_gyro_is_followed_to_its_end() {
+        // From 309 degrees back at up to 5.4 omega / e = 60 rad/s; the gyro stops at 2048 deg/s.
+        let omega: f64 = 30.0;
+        let motion = move |t: f64| {
+            let t = (t - 1.0).max(0.0);
+            // One turn less: the tare's own turn is the one that the first reading is in.
+            let angle = 5.4 * (1.0 + omega * t) * (-omega * t).exp() - TAU;
+            (angle, (-5.4 * omega * omega * t * (-omega * t).exp()).max(-35.74))
+        };
+        let mut last = Estimate::default();
+        run(motion, 0.0, 2.0, |_, e| last = e);
+        assert!((last.angle - motion(1.998).0).abs() < 1e-3, "{}", last.angle);
     }
 
     #[test]

@@ -120,6 +120,16 @@ pub struct FreeStatus {
     pub imu: Option<DeviceStatus>,
     /// Its regulator.
     pub regulator: DeviceStatus,
+    /// The sensor of its pressure; `null` where its regulator measures that, or nothing does.
+    #[serde(default)]
+    pub sensor: Option<DeviceStatus>,
+}
+
+impl FreeStatus {
+    /// Its devices, IMU first.
+    pub fn devices(&self) -> impl Iterator<Item = &DeviceStatus> {
+        self.imu.iter().chain([&self.regulator]).chain(&self.sensor)
+    }
 }
 
 /// The serial line of a regulator, with everything on it.
@@ -179,6 +189,9 @@ pub struct DeviceStatus {
     pub implausible: u64,
     /// Resets that nobody asked for.
     pub resets: u64,
+    /// Times its reset line was pulled.
+    #[serde(default)]
+    pub pulls: u64,
     /// Times its bus was opened again.
     pub reopens: u64,
     /// Times it was set up.
@@ -205,6 +218,7 @@ impl DeviceStatus {
             retries: statistics.retries.get(),
             implausible: statistics.implausible.get(),
             resets: statistics.resets.get(),
+            pulls: statistics.pulls.get(),
             reopens: statistics.reopens.get(),
             connects: statistics.connects.get(),
             losses: statistics.losses.get(),

@@ -77,16 +77,17 @@ pub fn join(rig: &Rig, plant: Option<Arc<Mutex<Plant>>>, switches: Switches) -> 
     };
     let mut imu: [Option<Output<ImuSample>>; MAX_FREES] = Default::default();
     let mut pressure: [Option<Output<PressureSample>>; MAX_FREES] = Default::default();
-    let mut pressure_slot = |free: usize| {
+    let mut sensor: [Option<Output<PressureSample>>; MAX_FREES] = Default::default();
+    let slot_in = |slots: &mut [Option<Output<PressureSample>>; MAX_FREES], free: usize| {
         let (input, output) = triple_buffer(&PressureSample { pressure: f64::NAN, ..PressureSample::default() });
-        if let Some(slot) = pressure.get_mut(free) {
+        if let Some(slot) = slots.get_mut(free) {
             *slot = Some(output);
         }
         input
     };
     let mut i2c = Vec::new();
     for bus in &rig.wiring.i2c {
-        let mut ports = I2cPorts { command: command(), imu: Vec::new(), pressure: Vec::new() };
+        let mut ports = I2cPorts { command: command(), imu: Vec::new(), pressure: Vec::new(), sensor: Vec::new() };
         for &free in bus.imus.iter().flat_map(|i| &i.frees) {
             let (input, output) = triple_buffer(&ImuSample::default());
             if let Some(slot) = imu.get_mut(free) {
@@ -95,7 +96,10 @@ pub fn join(rig: &Rig, plant: Option<Arc<Mutex<Plant>>>, switches: Switches) -> 
             ports.imu.push((free, input));
         }
         for channel in bus.dacs.iter().flat_map(|d| d.channels.iter().flatten()) {
-            ports.pressure.push((channel.free, pressure_slot(channel.free)));
+            ports.pressure.push((channel.free, slot_in(&mut pressure, channel.free)));
+        }
+        for channel in bus.adcs.iter().flat_map(|a| a.channels.iter().flatten()) {
+            ports.sensor.push((channel.free, slot_in(&mut sensor, channel.free)));
         }
         i2c.push(ports);
     }
@@ -103,7 +107,15 @@ pub fn join(rig: &Rig, plant: Option<Arc<Mutex<Plant>>>, switches: Switches) -> 
         .wiring
         .serial
         .iter()
-        .map(|line| (command(), line.units.iter().map(|unit| pressure_slot(unit.free)).collect()))
+        .map(|line| {
+            (
+                command(),
+                line.units
+                    .iter()
+                    .map(|unit| slot_in(if unit.gauge { &mut sensor } else { &mut pressure }, unit.free))
+                    .collect(),
+            )
+        })
         .collect();
     let valve = rig.control.dump_valve.then(&mut command);
     let (trim_in, trim_out) = triple_buffer(&Trim::default());
@@ -114,6 +126,7 @@ pub fn join(rig: &Rig, plant: Option<Arc<Mutex<Plant>>>, switches: Switches) -> 
         controller: Controller::new(&rig.control)?,
         imu,
         pressure,
+        sensor,
         commands,
         trim: trim_out,
         requests: request_out,

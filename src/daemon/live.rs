@@ -9,7 +9,7 @@ use rtrb::Producer;
 use triple_buffer::Input;
 
 use super::join::{Joints, join, simulated};
-use super::stepped::{Profiles, contacts, detached, lock, note_profiles};
+use super::stepped::{Profiles, contacts, detached, lock, note_profiles, simulate_resets};
 use super::tick::Switches;
 use super::{Bench, DaemonError, Pump};
 use crate::clock::{Clock, Time};
@@ -43,6 +43,8 @@ pub struct FreeDevices {
     pub imu: Option<Arc<DeviceStatistics>>,
     /// Its regulator.
     pub regulator: Option<Arc<DeviceStatistics>>,
+    /// The sensor of its pressure, where its regulator has none.
+    pub sensor: Option<Arc<DeviceStatistics>>,
     /// The regulator's serial line.
     pub line: Option<Arc<LineStatistics>>,
 }
@@ -99,27 +101,39 @@ impl Live {
         for ((index, wiring), ports) in rig.wiring.i2c.iter().enumerate().zip(i2c) {
             let stop = Arc::clone(&stop_owners);
             let promote = promote.clone();
-            let (thread, statistics) = match sim.as_ref().and_then(|s| s.i2c(index)) {
-                Some((bus, clock)) => {
-                    let owner = I2cOwner::new(wiring, timeout, clock, move || Ok(bus.clone()), ports);
+            let (thread, statistics) = match sim.as_ref().and_then(|s| Some((s, s.i2c(index)?))) {
+                Some((sim, (bus, here))) => {
+                    let mut owner = I2cOwner::new(wiring, timeout, here, move || Ok(bus.clone()), ports);
+                    simulate_resets(&mut owner, sim, index, wiring, &clock);
                     let statistics = owner.statistics();
                     note_profiles(&mut profiles, &owner);
                     (named(&wiring.name, move || serve_i2c(owner, &stop, promote))?, statistics)
                 }
                 None => {
                     let device = wiring.device.clone();
-                    let owner = I2cOwner::new(wiring, timeout, clock.fork(), move || i2c::open(&device), ports);
+                    let mut owner = I2cOwner::new(wiring, timeout, clock.fork(), move || i2c::open(&device), ports);
+                    for (imu, line) in wiring.imus.iter().filter_map(|imu| Some((imu, imu.reset?))) {
+                        if let Some(gpio) = &rig.wiring.gpio {
+                            owner.attach_reset(imu.address, gpio::reset_line(output(gpio, line), &clock));
+                        }
+                    }
                     let statistics = owner.statistics();
                     note_profiles(&mut profiles, &owner);
                     (named(&wiring.name, move || serve_i2c(owner, &stop, promote))?, statistics)
                 }
             };
             owners.push(thread);
-            // Statistics come in the order of the wiring: DACs, then IMUs.
-            let (dacs, imus) = statistics.split_at(wiring.dacs.len());
+            // Statistics come in the order of the wiring: DACs, ADCs, then IMUs.
+            let (dacs, rest) = statistics.split_at(wiring.dacs.len());
+            let (adcs, imus) = rest.split_at(wiring.adcs.len());
             for (wiring, statistics) in wiring.dacs.iter().zip(dacs) {
                 for channel in wiring.channels.iter().flatten() {
                     note(&mut devices, channel.free, |d| d.regulator = Some(Arc::clone(statistics)));
+                }
+            }
+            for (wiring, statistics) in wiring.adcs.iter().zip(adcs) {
+                for channel in wiring.channels.iter().flatten() {
+                    note(&mut devices, channel.free, |d| d.sensor = Some(Arc::clone(statistics)));
                 }
             }
             for (wiring, statistics) in wiring.imus.iter().zip(imus) {
@@ -148,7 +162,11 @@ impl Live {
             let owner = SerialOwner::new(&wiring, clock.fork(), timeout, open, command, samples, stop)?;
             for (unit, statistics) in wiring.units.iter().zip(&owner.statistics().units) {
                 let line = Arc::clone(&owner.statistics().line);
-                note(&mut devices, unit.free, |d| (d.regulator, d.line) = (Some(Arc::clone(statistics)), Some(line)));
+                let statistics = Some(Arc::clone(statistics));
+                note(&mut devices, unit.free, |d| {
+                    d.line = Some(line);
+                    if unit.gauge { d.sensor = statistics } else { d.regulator = statistics }
+                });
             }
             let thread = serial::spawn(&wiring.name, owner, promote.clone()).map_err(thread_failed)?;
             owners.push(thread);

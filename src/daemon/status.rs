@@ -5,6 +5,7 @@ use super::{Live, is_free_vented};
 use crate::clock::Time;
 use crate::config::Rig;
 use crate::hardware::DeviceStatistics;
+use crate::hardware::serial_line::LineStatistics;
 use crate::signal::{FreeTick, ImuHealth, LimitSet, Quantity, RegulatorHealth, TickRecord};
 
 /// The status of `rig` in `record`; faults, run and uptime are the supervisor's to add.
@@ -23,10 +24,13 @@ pub(super) fn status(rig: &Rig, live: &Live, record: &TickRecord) -> Status {
                     device(imu, imu_health(sample.health), sample.time, record.time)
                 }),
                 regulator: devices.regulator.as_deref().map_or_else(DeviceStatus::default, |regulator| {
-                    let sample = &tick.pressure;
-                    let status = device(regulator, regulator_health(sample.health), sample.time, record.time);
-                    DeviceStatus { line: devices.line.as_deref().map(Into::into), ..status }
+                    let line = if devices.sensor.is_none() { devices.line.as_deref() } else { None };
+                    pressure_device(regulator, line, tick, record.time)
                 }),
+                sensor: devices
+                    .sensor
+                    .as_deref()
+                    .map(|sensor| pressure_device(sensor, devices.line.as_deref(), tick, record.time)),
                 vented: free.regulator.measures.then(|| is_free_vented(record.time, tick, free)),
                 temperature_degc: rig
                     .temperatures(index)
@@ -66,6 +70,18 @@ fn free_status(name: &str, tick: &FreeTick) -> FreeStatus {
 /// A device whose latest reading is of the time `read`; the epoch where there was none.
 fn device(statistics: &DeviceStatistics, health: &str, read: Time, now: Time) -> DeviceStatus {
     DeviceStatus::new(statistics, health, (read > Time::ZERO).then(|| now.since(read).as_secs_f64()))
+}
+
+/// A regulator or a sensor of its own, with the serial `line` that it hangs on.
+fn pressure_device(
+    statistics: &DeviceStatistics,
+    line: Option<&LineStatistics>,
+    tick: &FreeTick,
+    now: Time,
+) -> DeviceStatus {
+    let sample = &tick.pressure;
+    let status = device(statistics, regulator_health(sample.health), sample.time, now);
+    DeviceStatus { line: line.map(Into::into), ..status }
 }
 
 fn imu_health(health: ImuHealth) -> &'static str {

@@ -18,10 +18,11 @@ use triple_buffer::Input;
 use super::join::{Joints, join, simulated};
 use super::tick::{Switches, Tick};
 use super::{Bench, DaemonError, Pump};
-use crate::clock::{Stepper, Time};
+use crate::clock::{Clock, Stepper, Time};
 use crate::config::Rig;
 use crate::control::Request;
-use crate::hardware::gpio::{Contact, ContactWatch, GpioValve};
+use crate::hardware::gpio::{self, Contact, ContactWatch, GpioValve};
+use crate::hardware::wiring::I2cWiring;
 use crate::hardware::{I2cOwner, ProfileDesk, SerialOwner, ValveOwner};
 use crate::record::Recorder;
 use crate::rt::{Schedule, Timing};
@@ -94,7 +95,8 @@ impl Stepped {
         let mut profiles = Profiles::new();
         for ((index, wiring), ports) in rig.wiring.i2c.iter().enumerate().zip(i2c) {
             let Some((bus, clock)) = sim.i2c(index) else { continue };
-            let owner = I2cOwner::new(wiring, timeout, clock, move || Ok(bus.clone()), ports);
+            let mut owner = I2cOwner::new(wiring, timeout, clock, move || Ok(bus.clone()), ports);
+            simulate_resets(&mut owner, &sim, index, wiring, &stepper.clock());
             note_profiles(&mut profiles, &owner);
             turns.push(I2cTurn { owner, staged: false });
         }
@@ -249,6 +251,21 @@ impl Bench for Stepped {
 
     fn detach(&mut self) -> Result<Option<Recorder>, DaemonError> {
         detached(self.pump.detach())
+    }
+}
+
+/// Gives the IMUs of the bus `index` their simulated reset lines, where they are wired.
+pub(super) fn simulate_resets(
+    owner: &mut I2cOwner<SimI2c>,
+    sim: &SimRig,
+    index: usize,
+    wiring: &I2cWiring,
+    clock: &Clock,
+) {
+    for imu in wiring.imus.iter().filter(|imu| imu.reset.is_some()) {
+        if let Some(line) = sim.reset_line(index, imu.address) {
+            owner.attach_reset(imu.address, gpio::reset_line(line, clock));
+        }
     }
 }
 

@@ -341,7 +341,7 @@ impl Supervisor {
         let mut problem = Problem::from(error);
         if let DaemonError::Timeout { state: "boot", .. } = error {
             let status = status(&self.rig, &self.live, &self.bench.latest());
-            let silent = status.frees.iter().flat_map(|free| free.imu.iter().chain([&free.regulator]));
+            let silent = status.frees.iter().flat_map(api::FreeStatus::devices);
             for device in silent.filter(|device| matches!(device.health.as_str(), "absent" | "lost")) {
                 let why = device.last_error.as_deref().unwrap_or("no answer yet");
                 problem.error += &format!("\n  {}: {why}", device.device);

@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
 
 use rtrb::{Consumer, Producer};
 use triple_buffer::{Input, Output};
@@ -12,6 +13,10 @@ use crate::control::{Controller, Request, TickInput};
 use crate::rt::Timing;
 use crate::signal::{Command, ImuSample, MAX_FREES, PressureSample, TickRecord, Trim};
 use crate::trajectory::Program;
+
+/// A DAC that has not been written for so long is silent, whatever the sensor behind its regulator says: three of its
+/// periods.
+const SILENT: Duration = Duration::from_millis(30);
 
 /// Switches that other threads throw and the tick reads.
 #[derive(Debug, Default)]
@@ -37,6 +42,8 @@ pub struct Tick {
     pub(super) controller: Controller,
     pub(super) imu: [Option<Output<ImuSample>>; MAX_FREES],
     pub(super) pressure: [Option<Output<PressureSample>>; MAX_FREES],
+    /// Sensors of their own, of FREEs whose regulators measure nothing.
+    pub(super) sensor: [Option<Output<PressureSample>>; MAX_FREES],
     pub(super) commands: Vec<Input<Command>>,
     pub(super) trim: Output<Trim>,
     pub(super) requests: Consumer<Request>,
@@ -94,6 +101,11 @@ impl Tick {
                 *sample = *slot.read();
             }
         }
+        for (sample, slot) in input.pressure.iter_mut().zip(&mut self.sensor) {
+            if let Some(slot) = slot {
+                *sample = sample.measured_by(*slot.read(), SILENT);
+            }
+        }
         input
     }
 }
@@ -101,7 +113,6 @@ impl Tick {
 #[cfg(test)]
 mod tests {
     use std::path::Path;
-    use std::time::Duration;
 
     use assert_no_alloc::{AllocDisabler, assert_no_alloc};
     use rtrb::Producer;

@@ -49,7 +49,7 @@ pub fn of(rig: &Rig) -> Validity {
 /// Which regulator the FREE `index` of `rig` has: `alicat A on line`, `channel B of 0x60 on main`.
 pub fn regulator(rig: &Rig, index: usize) -> Option<String> {
     let alicat = rig.wiring.serial.iter().flat_map(|line| line.units.iter().map(move |unit| (line, unit)));
-    if let Some((line, unit)) = alicat.into_iter().find(|(_, unit)| unit.free == index) {
+    if let Some((line, unit)) = alicat.into_iter().find(|(_, unit)| unit.free == index && !unit.gauge) {
         return Some(format!("alicat {} on {}", char::from(unit.id), line.name));
     }
     super::calibration::channels::wired(rig).into_iter().find(|w| w.free == index).map(|w| w.channel)

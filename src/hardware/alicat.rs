@@ -208,7 +208,11 @@ pub struct Alicat<'l, S> {
 impl<S: AsyncRead + AsyncWrite + Unpin> Alicat<'_, S> {
     /// Commands zero before anything is known about the unit. What it answers, even `?`, does not matter yet. On
     /// a line that babbles zero is sent all the same, and the error says that nothing could be heard.
+    /// A gauge is told nothing.
     pub async fn zero_blindly(&mut self) -> Result<(), AlicatError> {
+        if self.unit.wiring.gauge {
+            return Ok(());
+        }
         let command = self.unit.command(&self.unit.setpoint_text(0.0)?);
         match self.line.transact(&command).await {
             Ok(_) => Ok(()),
@@ -223,11 +227,15 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Alicat<'_, S> {
 
     /// Sends zero and waits for nothing.
     pub async fn shout_zero(&mut self) -> Result<(), AlicatError> {
+        if self.unit.wiring.gauge {
+            return Ok(());
+        }
         let command = self.unit.command(&self.unit.setpoint_text(0.0)?);
         Ok(self.line.shout(&command).await?)
     }
 
-    /// Commands zero, then finds out what the unit's frames hold and where it takes its set-point from.
+    /// Commands zero, then finds out what the unit's frames hold and where it takes its set-point from; of a gauge the
+    /// frames only.
     pub async fn identify(&mut self) -> Result<PressureSample, AlicatError> {
         match self.zero_blindly().await {
             Err(error) if !error.is_out_of_step() => return Err(error),
@@ -240,13 +248,19 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Alicat<'_, S> {
                 self.unit.device,
                 self.unit.wiring.pascals_per_unit
             );
-            Columns::default()
+            if self.unit.wiring.gauge { Columns::gauge() } else { Columns::default() }
         });
         let configured = self.unit.wiring.pascals_per_unit;
         if let Some(scale) = self.unit.columns.pascals_per_unit()
             && (scale / configured - 1.0).abs() > SCALE_TOLERANCE
         {
             return Err(AlicatError::Scale { unit: self.unit.columns.unit().to_owned(), configured });
+        }
+        if self.unit.wiring.gauge {
+            return self.poll().await;
+        }
+        if !self.unit.columns.has_setpoint() {
+            return Err(ManifestError::Missing("set-point").into());
         }
         self.check_source().await?;
         self.write(0.0).await
@@ -289,11 +303,14 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Alicat<'_, S> {
         }
     }
 
-    /// Writes `setpoint` (Pa, within the full scale) and reads the frame in one exchange.
+    /// Writes `setpoint` (Pa, within the full scale) and reads the frame in one exchange; of a gauge it only reads.
     ///
     /// The reading carries [`RegulatorStatus::ECHO_MISMATCH`] where the unit has accepted another set-point, and
     /// [`RegulatorStatus::REJECTED`] where it answered `?`; the pressure then comes from a poll.
     pub async fn write(&mut self, setpoint: f64) -> Result<PressureSample, AlicatError> {
+        if self.unit.wiring.gauge {
+            return self.poll().await;
+        }
         let command = self.unit.command(&self.unit.setpoint_text(setpoint)?);
         let (sample, frame) = match self.frame(&command).await {
             Ok(read) => read,

@@ -161,9 +161,18 @@ impl Columns {
         match unit {
             _ if columns.is_empty() => Ok(None),
             None => Err(ManifestError::Missing("pressure")),
-            Some(_) if !columns.contains(&Column::Setpoint) => Err(ManifestError::Missing("set-point")),
             Some(unit) => Ok(Some(Self { columns, unit })),
         }
+    }
+
+    /// A gauge from the factory: the pressure alone.
+    pub fn gauge() -> Self {
+        Self { columns: vec![Column::Pressure], unit: String::new() }
+    }
+
+    /// Whether the unit says which set-point it has accepted.
+    pub fn has_setpoint(&self) -> bool {
+        self.columns.contains(&Column::Setpoint)
     }
 
     /// Unit of the pressure as the device writes it; empty where it was not asked.

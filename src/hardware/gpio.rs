@@ -7,6 +7,7 @@
 //! | heartbeat | changes in every cycle in which the valve is to stay closed | |
 //! | emergency stop | the contact is closed: released | pressed, or its wire is broken |
 //! | supply | the pressure switch is closed: enough | too low, or its wire is broken |
+//! | an IMU's reset | it runs | it is reset |
 //!
 //! Every line is safe without power and without this program. The heartbeat is for a retriggerable one-shot in series
 //! with the coil: if it stands still, whatever the program or the output stage believes, the valve opens.
@@ -101,6 +102,15 @@ impl<P> Lazy<P> {
             HardwareError::Transfer { device, detail: format!("{error:?}") }
         })
     }
+}
+
+/// Pulls a device's reset line (low), or lets go of it (high).
+pub type ResetLine = Box<dyn FnMut(bool) -> Result<(), HardwareError> + Send>;
+
+/// The reset line behind `open`, which is opened when it is first pulled: until then the device's own pull-up holds it.
+pub fn reset_line<P: OutputPin + Send + 'static>(open: OpenPin<P>, clock: &Clock) -> ResetLine {
+    let mut line = Lazy::new(open, clock.clone());
+    Box::new(move |pull| line.with("IMU's reset line", |pin| if pull { pin.set_low() } else { pin.set_high() }))
 }
 
 /// The dump valve behind a digital line, and its heartbeat where one is wired.

@@ -6,6 +6,7 @@
 //! take their time from a [`Clock`](crate::clock::Clock) and their bus as a trait, so that simulated chips at
 //! register and byte level drive the very same code.
 
+pub mod ads1115;
 pub mod alicat;
 pub mod alicat_frame;
 pub mod bno055;

@@ -249,6 +249,7 @@ where
         slots
             .min_by_key(|(_, s)| {
                 let urgent = s.link == Link::Up
+                    && !s.unit.wiring().gauge
                     && s.unit.target(command) == 0.0
                     && s.sample.setpoint != 0.0
                     // A unit that does not obey must not keep the others waiting.

@@ -38,6 +38,8 @@ pub struct DeviceStatistics {
     pub implausible: Counter,
     /// Resets that were found (and not asked for).
     pub resets: Counter,
+    /// Times its reset line was pulled.
+    pub pulls: Counter,
     /// Times the bus was opened again.
     pub reopens: Counter,
     /// Times the device was set up successfully; the first one counts.

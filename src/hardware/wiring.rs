@@ -42,6 +42,8 @@ pub struct I2cWiring {
     pub imus: Vec<ImuWiring>,
     /// DACs on it.
     pub dacs: Vec<DacWiring>,
+    /// ADCs on it.
+    pub adcs: Vec<AdcWiring>,
 }
 
 /// One BNO055.
@@ -53,6 +55,8 @@ pub struct ImuWiring {
     pub address: u8,
     /// Reading period; the fusion output comes at 100 Hz.
     pub period: Duration,
+    /// Digital line of its reset pin, where it is wired.
+    pub reset: Option<u32>,
     /// Saved calibration profile, restored when connecting.
     pub profile: Option<ImuProfile>,
 }
@@ -86,6 +90,26 @@ pub struct DacChannel {
     pub pascals_per_code: f64,
 }
 
+/// One ADS1115 (four channels).
+#[derive(Clone, Debug, PartialEq)]
+pub struct AdcWiring {
+    /// 0x48..=0x4B.
+    pub address: u8,
+    /// What hangs on the channels 0 to 3.
+    pub channels: [Option<AdcChannel>; 4],
+}
+
+/// A pressure sensor behind one ADC channel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdcChannel {
+    /// FREE whose pressure it measures.
+    pub free: usize,
+    /// Its voltage without pressure, V.
+    pub zero_volts: f64,
+    /// Pressure per volt above it, Pa/V.
+    pub pascals_per_volt: f64,
+}
+
 /// One serial line.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SerialWiring {
@@ -99,11 +123,13 @@ pub struct SerialWiring {
     pub units: Vec<UnitWiring>,
 }
 
-/// One Alicat pressure controller.
+/// One Alicat pressure controller, or gauge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnitWiring {
-    /// FREE that it feeds.
+    /// FREE that it feeds, or whose pressure it measures.
     pub free: usize,
+    /// It measures and is told nothing: no set-point ever goes to it.
+    pub gauge: bool,
     /// Unit id, `b'A'..=b'Z'`.
     pub id: u8,
     /// Full scale, Pa.

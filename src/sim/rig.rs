@@ -15,15 +15,15 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::chips::{
-    AlicatChip, Bno055Chip, Bno055Sim, Mcp4728Chip, MemoryStream, Mischief, Orientation, Promote, Pty, SerialLine,
-    SimI2c,
+    Ads1115Chip, AlicatChip, Bno055Chip, Bno055Sim, Mcp4728Chip, MemoryStream, Mischief, Orientation, Promote, Pty,
+    SerialLine, SimI2c,
 };
 use super::plant::SCATTER_CUT;
 use super::{AnalogueSim, BenchConfig, Plant};
 use crate::clock::Clock;
 use crate::hardware::HardwareError;
 use crate::hardware::gpio::{Contact, GpioValve, OpenPin};
-use crate::hardware::wiring::{DacWiring, ImuWiring, SerialWiring, Wiring};
+use crate::hardware::wiring::{AdcWiring, DacWiring, ImuWiring, SerialWiring, Wiring};
 
 /// The buses run at the Linux default.
 const I2C_HERTZ: u32 = 100_000;
@@ -37,6 +37,9 @@ pub struct SimRig {
     lines: Vec<Arc<Mutex<SerialLine>>>,
     imus: BTreeMap<usize, Mischief>,
     regulators: BTreeMap<usize, Mischief>,
+    sensors: BTreeMap<usize, Mischief>,
+    /// Whether the wire between a FREE's pressure sensor and its ADC is cut.
+    cut: BTreeMap<usize, Arc<AtomicBool>>,
     button: Button,
     one_shot: bool,
     /// The output behind the dump valve's coil keeps its level whatever it is told.
@@ -54,6 +57,8 @@ impl SimRig {
             lines: Vec::new(),
             imus: BTreeMap::new(),
             regulators: BTreeMap::new(),
+            sensors: BTreeMap::new(),
+            cut: BTreeMap::new(),
             button: Button::default(),
             one_shot: bench.one_shot,
             coil_stuck: Arc::default(),
@@ -66,6 +71,9 @@ impl SimRig {
             }
             for dac in &wiring.dacs {
                 rig.attach_dac(bench, dac, &bus);
+            }
+            for adc in &wiring.adcs {
+                rig.attach_adc(adc, &bus);
             }
             rig.buses.push((bus, clock));
         }
@@ -116,11 +124,31 @@ impl SimRig {
         }
     }
 
+    fn attach_adc(&mut self, wiring: &AdcWiring, bus: &SimI2c) {
+        let (plant, channels) = (self.plant(), wiring.channels);
+        let cut = channels.map(|channel| channel.map(|_| Arc::new(AtomicBool::new(false))));
+        for (channel, cut) in channels.iter().flatten().zip(cut.iter().flatten()) {
+            self.cut.insert(channel.free, Arc::clone(cut));
+        }
+        let source = move |index: usize, time| match (channels[index], &cut[index]) {
+            (Some(map), Some(cut)) if !cut.load(Ordering::Relaxed) => {
+                let mut plant = plant.lock().unwrap_or_else(PoisonError::into_inner);
+                map.zero_volts + plant.reading(map.free, time) / map.pascals_per_volt
+            }
+            _ => 0.0,
+        };
+        let mischief = bus.attach(wiring.address, Ads1115Chip::new(Box::new(source)));
+        for channel in wiring.channels.iter().flatten() {
+            self.sensors.insert(channel.free, mischief.clone());
+        }
+    }
+
     fn line_of(&mut self, wiring: &SerialWiring, seed: u64) -> Arc<Mutex<SerialLine>> {
         let mut line = SerialLine::new(wiring.baud, seed);
         for unit in &wiring.units {
             let mischief = line.attach(AlicatChip::new(*unit, self.plant()));
-            self.regulators.insert(unit.free, mischief);
+            let devices = if unit.gauge { &mut self.sensors } else { &mut self.regulators };
+            devices.insert(unit.free, mischief);
         }
         Arc::new(Mutex::new(line))
     }
@@ -187,6 +215,18 @@ impl SimRig {
         self.regulators.get(&free)
     }
 
+    /// Makes the sensor of a FREE's pressure misbehave, where it has one of its own.
+    pub fn sensor(&self, free: usize) -> Option<&Mischief> {
+        self.sensors.get(&free)
+    }
+
+    /// Cuts the wire between the pressure sensor of a FREE and its ADC, or mends it.
+    pub fn cut_sensor(&self, free: usize, cut: bool) {
+        if let Some(wire) = self.cut.get(&free) {
+            wire.store(cut, Ordering::Relaxed);
+        }
+    }
+
     /// The dump valve on its simulated lines, moved on `clock`.
     pub fn dump_valve(&self, clock: Clock) -> GpioValve<SimOutput> {
         let output = |drives, stuck: &Arc<AtomicBool>| {
@@ -203,6 +243,12 @@ impl SimRig {
     /// Has the output stage behind the dump valve's coil keep its level whatever it is told, or repairs it.
     pub fn stick_coil(&self, stuck: bool) {
         self.coil_stuck.store(stuck, Ordering::Relaxed);
+    }
+
+    /// The reset line of the IMU at `address` of the bus of that index.
+    pub fn reset_line(&self, index: usize, address: u8) -> Option<OpenPin<SimReset>> {
+        let (bus, _) = self.i2c(index)?;
+        Some(Box::new(move || Ok(SimReset { bus: bus.clone(), address })))
     }
 
     /// The emergency stop.
@@ -265,6 +311,27 @@ impl digital::OutputPin for SimOutput {
 
     fn set_high(&mut self) -> Result<(), Infallible> {
         self.set(true);
+        Ok(())
+    }
+}
+
+/// The simulated reset line of a chip.
+pub struct SimReset {
+    bus: SimI2c,
+    address: u8,
+}
+
+impl digital::ErrorType for SimReset {
+    type Error = Infallible;
+}
+
+impl digital::OutputPin for SimReset {
+    fn set_low(&mut self) -> Result<(), Infallible> {
+        self.bus.pull_reset(self.address);
+        Ok(())
+    }
+
+    fn set_high(&mut self) -> Result<(), Infallible> {
         Ok(())
     }
 }

@@ -38,7 +38,13 @@ fn wiring(units: usize) -> SerialWiring {
         device: PathBuf::from("/dev/simulated"),
         baud: BAUD,
         units: (0..units)
-            .map(|free| UnitWiring { free, id: b'A' + free as u8, full_scale: 15.0 * PSI, pascals_per_unit: PSI })
+            .map(|free| UnitWiring {
+                free,
+                gauge: false,
+                id: b'A' + free as u8,
+                full_scale: 15.0 * PSI,
+                pascals_per_unit: PSI,
+            })
             .collect(),
     }
 }

@@ -68,14 +68,20 @@ impl Rig {
         let wiring = I2cWiring {
             name: "bench".into(),
             device: "/dev/i2c-1".into(),
-            imus: vec![ImuWiring { frees: vec![0, 1], address: 0x28, period: ms(10), profile: None }],
+            imus: vec![ImuWiring { frees: vec![0, 1], address: 0x28, period: ms(10), reset: None, profile: None }],
             dacs: vec![DacWiring { address: 0x60, channels: [Some(MAP), None, None, None] }],
+            adcs: vec![],
         };
         let (command, command_out) = triple_buffer(&Command::default());
         let (imu_a, imu_a_out) = triple_buffer(&ImuSample::default());
         let (imu_b, imu_b_out) = triple_buffer(&ImuSample::default());
         let (pressure, pressure_out) = triple_buffer(&PressureSample::default());
-        let ports = I2cPorts { command: command_out, imu: vec![(0, imu_a), (1, imu_b)], pressure: vec![(1, pressure)] };
+        let ports = I2cPorts {
+            command: command_out,
+            imu: vec![(0, imu_a), (1, imu_b)],
+            pressure: vec![(1, pressure)],
+            sensor: vec![],
+        };
         let opens: Arc<Mutex<u32>> = Arc::default();
         let (count, wires) = (opens.clone(), bus.clone());
         let open = move || {
@@ -211,6 +217,19 @@ fn an_owner_that_ends_leaves_zero_behind() {
     let mut rig = Rig::start();
     rig.setpoint = 30_000.0;
     rig.run(ms(20), |_, _, _| {});
+    let Rig { owner, volts, .. } = rig;
+    let last = || volts.lock().expect("not poisoned").last().expect("written").1;
+    assert!(last() > 1.0);
+    drop(owner);
+    assert_eq!(last(), 0.0);
+}
+
+#[test]
+fn an_owner_that_cannot_reach_its_dac_at_the_end_tells_every_dac_by_the_general_call() {
+    let mut rig = Rig::start();
+    rig.setpoint = 30_000.0;
+    rig.run(ms(20), |_, _, _| {});
+    rig.dac_chip.always(Misbehaviour::Nak);
     let Rig { owner, volts, .. } = rig;
     let last = || volts.lock().expect("not poisoned").last().expect("written").1;
     assert!(last() > 1.0);
@@ -382,9 +401,10 @@ fn live_the_owner_is_a_thread_that_stops_with_zero() {
         device: "/dev/i2c-1".into(),
         imus: vec![],
         dacs: vec![DacWiring { address: 0x60, channels: [Some(MAP), None, None, None] }],
+        adcs: vec![],
     };
     let (mut command, command_out) = triple_buffer(&Command::default());
-    let ports = I2cPorts { command: command_out, imu: vec![], pressure: vec![] };
+    let ports = I2cPorts { command: command_out, imu: vec![], pressure: vec![], sensor: vec![] };
     let owner = I2cOwner::new(&wiring, Duration::from_secs(60), clock.clone(), move || Ok(bus.clone()), ports);
     let stop = Arc::new(AtomicBool::new(false));
     let thread = std::thread::spawn({
@@ -477,12 +497,14 @@ fn an_adapter_that_is_unplugged_is_let_go_of_and_taken_up_again() {
         let (_command, command_out) = triple_buffer(&Command::default());
         let (imu, mut imu_out) = triple_buffer(&ImuSample::default());
         let (pressure, mut pressure_out) = triple_buffer(&PressureSample::default());
-        let ports = I2cPorts { command: command_out, imu: vec![(0, imu)], pressure: vec![(1, pressure)] };
+        let ports =
+            I2cPorts { command: command_out, imu: vec![(0, imu)], pressure: vec![(1, pressure)], sensor: vec![] };
         let wiring = I2cWiring {
             name: "bench".into(),
             device: "/dev/i2c-7".into(),
-            imus: vec![ImuWiring { frees: vec![0], address: 0x28, period: ms(10), profile: None }],
+            imus: vec![ImuWiring { frees: vec![0], address: 0x28, period: ms(10), reset: None, profile: None }],
             dacs: vec![DacWiring { address: 0x60, channels: [Some(MAP), None, None, None] }],
+            adcs: vec![],
         };
         let opener = adapter.clone();
         let mut owner = I2cOwner::new(&wiring, TIMEOUT, clock, move || opener.open(), ports);

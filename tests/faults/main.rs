@@ -3,7 +3,10 @@
 //! and judged by the record and by the true pressure in the FREE.
 
 mod adversary;
+mod analogue;
+mod drill;
 mod killed;
+mod ladder;
 mod lines;
 mod live;
 mod matrix;

@@ -9,6 +9,7 @@ use super::{Finding, Treatment};
 use crate::clock::Clock;
 use crate::config::Rig;
 use crate::daemon::join::axes;
+use crate::hardware::ads1115::Ads1115;
 use crate::hardware::alicat::Unit;
 use crate::hardware::bno055::Bno055;
 use crate::hardware::mcp4728::Mcp4728;
@@ -86,6 +87,13 @@ impl<I: I2c, O: FnMut() -> Result<I, HardwareError>> Bus<'_, O> {
                 Err(error) => tell(failure(subject, &error)),
             }
         }
+        for adc in &self.wiring.adcs {
+            let subject = format!("ADS1115 at {:#04x}", adc.address);
+            match self.adc(adc.address) {
+                Ok(found) => tell(Finding::ok(subject, found)),
+                Err(error) => tell(failure(subject, &error)),
+            }
+        }
         for imu in &self.wiring.imus {
             let subject = format!("BNO055 at {:#04x}", imu.address);
             match self.imu(imu) {
@@ -109,6 +117,11 @@ impl<I: I2c, O: FnMut() -> Result<I, HardwareError>> Bus<'_, O> {
         }
         let identity = driver.connect()?;
         Ok(format!("{identity}, at zero, and starts at zero when power comes{treated}"))
+    }
+
+    fn adc(&mut self, address: u8) -> Result<String, HardwareError> {
+        let identity = Ads1115::new((self.open)()?, &self.wiring.name, address).connect()?;
+        Ok(format!("{identity}, thresholds as after power-on"))
     }
 
     /// Who it is, and how many readings of its id failed.
@@ -184,7 +197,8 @@ where
         return Ok(("its id is not a letter from A to Z".into(), Some("correct `unit` in rig.toml")));
     };
     let sample = unit.on(line).identify().await.map_err(|error| error.at(unit.device()))?;
-    let found = format!("{:.2}, set-point zero", Pressure::pascals(sample.pressure));
+    let role = if wiring.gauge { "a gauge" } else { "set-point zero" };
+    let found = format!("{:.2}, {role}", Pressure::pascals(sample.pressure));
     let remedy = if unit.is_analog() {
         Some("it takes its set-point from its analogue input: set the source to serial in its menu")
     } else if sample.status.intersects(TROUBLE) {

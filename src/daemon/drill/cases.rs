@@ -125,7 +125,9 @@ fn without_dump_valve(rig: &mut Rig) {
 /// The line and the Alicat unit of the first FREE; none where it has another regulator.
 fn unit(rig: &Rig) -> Option<(usize, &SerialWiring, &UnitWiring)> {
     let lines = rig.wiring.serial.iter().enumerate();
-    lines.flat_map(|(i, line)| line.units.iter().map(move |unit| (i, line, unit))).find(|(.., unit)| unit.free == 0)
+    lines
+        .flat_map(|(i, line)| line.units.iter().map(move |unit| (i, line, unit)))
+        .find(|(.., unit)| unit.free == 0 && !unit.gauge)
 }
 
 /// Does something to the first FREE's unit.

@@ -158,13 +158,9 @@ impl<I: I2c> DacSeat<I> {
         {
             driver.replace_bus(Handle::closed());
             self.open = false;
-            match open() {
-                Ok(bus) => {
-                    self.statistics.reopens.increment();
-                    driver.replace_bus(Handle::on(bus));
-                    self.open = true;
-                }
-                Err(error) => self.statistics.note_error(&error),
+            if let Some(bus) = Handle::anew(open, &self.statistics) {
+                driver.replace_bus(bus);
+                self.open = true;
             }
         }
         if matches!(rung, Rung::Restart | Rung::Lost) {

@@ -7,7 +7,7 @@ use std::fmt;
 
 use embedded_hal::i2c::{Error, ErrorKind, ErrorType, I2c, Operation};
 
-use crate::hardware::HardwareError;
+use crate::hardware::{DeviceStatistics, HardwareError};
 
 /// Opens the bus.
 pub(super) type Open<'o, I> = &'o mut dyn FnMut() -> Result<I, HardwareError>;
@@ -25,6 +25,30 @@ impl<I> Handle<I> {
     /// A handle on nothing: every transfer fails.
     pub const fn closed() -> Self {
         Self(None)
+    }
+}
+
+/// An address that no device has: all ones, like the nine clocks that free a bus.
+const NOBODY: u8 = 0x7F;
+
+impl<I: I2c> Handle<I> {
+    /// A new handle on the bus, none if it cannot be opened. The old one has to be closed by then.
+    ///
+    /// A device that was interrupted while it answered holds the data line until it has been clocked to the end of its
+    /// byte. Reading from nobody does that: nine clocks with the data line let go. Whether that is possible is the
+    /// adapter's to say; nothing is lost where it is not.
+    pub fn anew(open: Open<'_, I>, statistics: &DeviceStatistics) -> Option<Self> {
+        match open() {
+            Ok(mut bus) => {
+                statistics.reopens.increment();
+                let _ = bus.read(NOBODY, &mut [0]);
+                Some(Self::on(bus))
+            }
+            Err(error) => {
+                statistics.note_error(&error);
+                None
+            }
+        }
     }
 }
 

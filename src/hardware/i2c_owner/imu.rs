@@ -9,6 +9,7 @@ use super::handle::{Handle, Open};
 use super::recovery::{IMU_LOST_AFTER, Recovery, Rung, with_retries};
 use crate::clock::{Clock, Time};
 use crate::hardware::bno055::{Bno055, Progress};
+use crate::hardware::gpio::ResetLine;
 use crate::hardware::profile::ProfileDesk;
 use crate::hardware::statistics::DeviceStatistics;
 use crate::hardware::wiring::ImuWiring;
@@ -21,6 +22,9 @@ const STUCK_AFTER: Duration = Duration::from_millis(500);
 
 /// Period of the chip's fusion frames, by its own oscillator.
 const FRAME: Duration = Duration::from_millis(10);
+/// How long the reset line is pulled (20 ns would do), and how long the chip takes from there until it answers (650 ms).
+const PULL: Duration = Duration::from_millis(5);
+const START: Duration = Duration::from_millis(660);
 
 pub(super) struct ImuSeat<I> {
     pub wiring: ImuWiring,
@@ -31,6 +35,10 @@ pub(super) struct ImuSeat<I> {
     pub due: Time,
     /// Reading of this turn, until it is published.
     pub staged: Option<ImuSample>,
+    /// Its reset line, where it is wired.
+    pub reset: Option<ResetLine>,
+    /// Whether that is being pulled.
+    pulled: bool,
     name: String,
     driver: Option<Bno055<Handle<I>>>,
     /// Whether the driver's bus is open.
@@ -59,6 +67,8 @@ impl<I: I2c> ImuSeat<I> {
             wiring,
             due: now,
             staged: None,
+            reset: None,
+            pulled: false,
             driver: None,
             open: false,
             running: false,
@@ -157,6 +167,11 @@ impl<I: I2c> ImuSeat<I> {
 
     /// The next step of the set-up.
     fn set_up(&mut self, clock: &Clock, open: Open<'_, I>) {
+        if std::mem::take(&mut self.pulled) {
+            self.drive_reset(false);
+            self.resume = clock.now() + START;
+            return;
+        }
         let Some(driver) = &mut self.driver else {
             match open() {
                 Ok(bus) => {
@@ -185,8 +200,8 @@ impl<I: I2c> ImuSeat<I> {
             }
             Err(error) => {
                 self.statistics.note_error(&error);
-                self.climb(clock, open);
                 self.resume = clock.now() + self.recovery.pace(clock.now());
+                self.climb(clock, open);
             }
         }
     }
@@ -199,17 +214,30 @@ impl<I: I2c> ImuSeat<I> {
         {
             driver.replace_bus(Handle::closed());
             self.open = false;
-            match open() {
-                Ok(bus) => {
-                    self.statistics.reopens.increment();
-                    driver.replace_bus(Handle::on(bus));
-                    self.open = true;
-                }
-                Err(error) => self.statistics.note_error(&error),
+            if let Some(bus) = Handle::anew(open, &self.statistics) {
+                driver.replace_bus(bus);
+                self.open = true;
             }
         }
         if matches!(rung, Rung::Restart | Rung::Lost) {
+            let paced = self.resume.max(clock.now());
             self.restart(clock.now());
+            if rung == Rung::Lost {
+                self.resume = paced.max(clock.now() + self.recovery.pace(clock.now()));
+            }
+            if self.reset.is_some() {
+                self.drive_reset(true);
+                self.pulled = true;
+                self.statistics.pulls.increment();
+                self.resume = clock.now() + PULL;
+            }
+        }
+    }
+
+    /// Pulls the reset line, or lets go of it; what fails is told with the statistics.
+    fn drive_reset(&mut self, pull: bool) {
+        if let Some(Err(error)) = self.reset.as_mut().map(|line| line(pull)) {
+            self.statistics.note_error(&error);
         }
     }
 

@@ -1,4 +1,4 @@
-//! The owner of one I2C bus: set-points to its DACs first, then one burst from each IMU that is due.
+//! The owner of one I2C bus: set-points to its DACs first, then the ADCs and one burst from each IMU that is due.
 //!
 //! Live it is a thread ([`I2cOwner::run`]). On the stepped clock a scheduler calls [`I2cOwner::cycle`] at
 //! [`I2cOwner::next_due`]: the transfers run the owner's clock ahead to [`I2cOwner::busy_until`], and when
@@ -8,6 +8,7 @@
 //! between any two transfers. A set-up, which takes most of a second, never holds the bus: a step of it takes
 //! a few transfers, and the waiting in between is everybody's.
 
+mod adc;
 mod dac;
 mod handle;
 mod imu;
@@ -20,11 +21,14 @@ use std::time::Duration;
 use embedded_hal::i2c::I2c;
 use triple_buffer::{Input, Output};
 
+pub use self::adc::ADC_TURN;
+use self::adc::AdcSeat;
 pub use self::dac::DAC_PERIOD;
 use self::dac::DacSeat;
 use self::imu::ImuSeat;
 pub use self::recovery::IMU_LOST_AFTER;
 use super::HardwareError;
+use super::gpio::ResetLine;
 use super::profile::ProfileDesk;
 use super::statistics::DeviceStatistics;
 use super::wiring::I2cWiring;
@@ -39,6 +43,8 @@ pub struct I2cPorts {
     pub imu: Vec<(usize, Input<ImuSample>)>,
     /// Where the samples of DAC channels go, by FREE.
     pub pressure: Vec<(usize, Input<PressureSample>)>,
+    /// Where the readings of pressure sensors go, by FREE.
+    pub sensor: Vec<(usize, Input<PressureSample>)>,
 }
 
 /// Opens the bus; called once for every device, and again when a device is to be recovered.
@@ -51,6 +57,7 @@ pub struct I2cOwner<I: I2c> {
     open: OpenBus<I>,
     ports: I2cPorts,
     dacs: Vec<DacSeat<I>>,
+    adcs: Vec<AdcSeat<I>>,
     imus: Vec<ImuSeat<I>>,
 }
 
@@ -71,14 +78,28 @@ impl<I: I2c> I2cOwner<I> {
             open: Box::new(open),
             ports,
             dacs: wiring.dacs.iter().map(|w| DacSeat::new(w.clone(), &name, now)).collect(),
+            adcs: wiring.adcs.iter().map(|w| AdcSeat::new(w.clone(), &name, now)).collect(),
             imus: wiring.imus.iter().map(|w| ImuSeat::new(w.clone(), &name, now)).collect(),
             clock,
         }
     }
 
-    /// What happens to each device, for `status`: DACs first, then IMUs, in the order of rig.toml.
+    /// Has the IMU at `address` reset by `line` where nothing else brings it back.
+    pub fn attach_reset(&mut self, address: u8, line: ResetLine) {
+        if let Some(seat) = self.imus.iter_mut().find(|seat| seat.wiring.address == address) {
+            seat.reset = Some(line);
+        }
+    }
+
+    /// What happens to each device, for `status`: DACs first, then ADCs, then IMUs, in the order of rig.toml.
     pub fn statistics(&self) -> Vec<Arc<DeviceStatistics>> {
-        self.dacs.iter().map(|d| d.statistics.clone()).chain(self.imus.iter().map(|i| i.statistics.clone())).collect()
+        let adcs = self.adcs.iter().map(|a| a.statistics.clone());
+        self.dacs
+            .iter()
+            .map(|d| d.statistics.clone())
+            .chain(adcs)
+            .chain(self.imus.iter().map(|i| i.statistics.clone()))
+            .collect()
     }
 
     /// Where the profile of each IMU is asked for, by the FREEs that it serves.
@@ -91,6 +112,7 @@ impl<I: I2c> I2cOwner<I> {
         self.dacs
             .iter()
             .map(|d| d.due)
+            .chain(self.adcs.iter().map(|a| a.due))
             .chain(self.imus.iter().map(|i| i.due))
             .min()
             .unwrap_or(Time::from_nanos(u64::MAX))
@@ -105,6 +127,12 @@ impl<I: I2c> I2cOwner<I> {
     pub fn cycle(&mut self) {
         let now = self.clock.now();
         self.serve_dacs();
+        for index in 0..self.adcs.len() {
+            if self.adcs[index].due <= now {
+                self.adcs[index].turn(&self.clock, &mut self.open);
+                self.pre_empt();
+            }
+        }
         for index in 0..self.imus.len() {
             if self.imus[index].due <= now {
                 self.imus[index].turn(&self.clock, &mut self.open);
@@ -124,14 +152,12 @@ impl<I: I2c> I2cOwner<I> {
             }
         }
         for seat in &mut self.dacs {
-            for (channel, staged) in seat.wiring.channels.iter().zip(&mut seat.staged) {
-                let (Some(channel), Some(sample)) = (channel, staged.take()) else { continue };
-                for (free, slot) in &mut self.ports.pressure {
-                    if *free == channel.free {
-                        slot.write(sample);
-                    }
-                }
-            }
+            let frees = seat.wiring.channels.map(|channel| channel.map(|channel| channel.free));
+            hand_out(frees, &mut seat.staged, &mut self.ports.pressure);
+        }
+        for seat in &mut self.adcs {
+            let frees = seat.wiring.channels.map(|channel| channel.map(|channel| channel.free));
+            hand_out(frees, &mut seat.staged, &mut self.ports.sensor);
         }
     }
 
@@ -177,6 +203,18 @@ impl<I: I2c> I2cOwner<I> {
             return [0.0; MAX_FREES];
         }
         command.pressure
+    }
+}
+
+/// Hands the samples `staged` by channel to the slots of their FREEs.
+fn hand_out(
+    frees: [Option<usize>; 4],
+    staged: &mut [Option<PressureSample>; 4],
+    slots: &mut [(usize, Input<PressureSample>)],
+) {
+    for (free, staged) in frees.into_iter().zip(staged) {
+        let (Some(free), Some(sample)) = (free, staged.take()) else { continue };
+        slots.iter_mut().filter(|(of, _)| *of == free).for_each(|(_, slot)| slot.write(sample));
     }
 }
 

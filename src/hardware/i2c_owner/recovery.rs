@@ -3,9 +3,9 @@
 //! | after | what |
 //! | --- | --- |
 //! | at once | two retries in the same turn, unless the failure itself took long (a stuck bus blocks) |
-//! | 50 ms | the bus is opened anew, once |
-//! | 150 ms | the device is set up anew |
-//! | 150 ms (DAC), 1 s (IMU) | it is lost, and says so; twice a second the whole ladder is tried again |
+//! | 50 ms | the bus is opened anew, once, and nine clocks free a data line that somebody holds |
+//! | 150 ms | the device is set up anew; an IMU's reset line is pulled first, where it is wired |
+//! | 150 ms (DAC, ADC), 1 s (IMU) | it is lost, and says so; twice a second the whole ladder is tried again |
 //!
 //! Nothing here waits: between the rungs the bus belongs to the other devices. The first rungs are slower than
 //! the shortest interlock, on purpose: readings grow stale in the tick long before, and a connector that comes
@@ -22,6 +22,8 @@ const REOPEN_AFTER: Duration = Duration::from_millis(50);
 const RESTART_AFTER: Duration = Duration::from_millis(150);
 /// A DAC that has failed for this long is lost.
 pub(super) const DAC_LOST_AFTER: Duration = RESTART_AFTER;
+/// An ADC that has failed for this long is lost.
+pub(super) const ADC_LOST_AFTER: Duration = RESTART_AFTER;
 /// An IMU that has failed for this long is lost.
 pub const IMU_LOST_AFTER: Duration = Duration::from_secs(1);
 /// Pace of the attempts to get a lost device back.

@@ -1,4 +1,4 @@
-//! A simulated Alicat pressure controller: what it answers to the bytes of a command.
+//! A simulated Alicat pressure controller, or gauge: what it answers to the bytes of a command.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -75,6 +75,9 @@ impl AlicatChip {
     /// The power comes back: set-point zero, nothing held.
     pub(super) fn power_on(&mut self, now: Time) {
         self.dark = false;
+        if self.wiring.gauge {
+            return;
+        }
         self.cancel(now);
         self.accept(0.0, now);
     }
@@ -102,6 +105,7 @@ impl AlicatChip {
                 format!("{id}   020 = {value:05}")
             }
             "LSS" => format!("{id} {}", if self.analog { 'A' } else { 'S' }),
+            _ if self.wiring.gauge && text != "P" => "?".to_owned(),
             "HC" => {
                 self.held = true;
                 self.valve(Valve::Stuck, now);
@@ -181,11 +185,14 @@ impl AlicatChip {
         let pressure = self.frozen.unwrap_or_else(|| self.measure(now));
         let over = pressure > OVER_RANGE * self.wiring.full_scale;
         let mut frame = format!(
-            "{} {} {}",
+            "{} {}",
             char::from(self.wiring.id),
             self.number(pressure.min(OVER_RANGE * self.wiring.full_scale)),
-            self.number(self.setpoint)
         );
+        if !self.wiring.gauge {
+            frame.push(' ');
+            frame.push_str(&self.number(self.setpoint));
+        }
         let states = [(over, "POV"), (self.held, "HLD"), (self.exhausting, "EXH"), (true, self.tokens.as_str())];
         for (_, token) in states.iter().filter(|s| s.0 && !s.1.is_empty()) {
             frame.push(' ');
@@ -225,7 +232,7 @@ impl AlicatChip {
             format!("{id} D00 ID_ NAME______________________ TYPE_______ WIDTH NOTES___________________\r"),
             format!("{id} D01 700 {:<26} string          1\r", "Unit ID"),
             row(2, 6, "Gauge Press"),
-            row(3, 34, "Gauge Press Setpt"),
+            if self.wiring.gauge { String::new() } else { row(3, 34, "Gauge Press Setpt") },
             token(4, 701, "*Error", "ADC"),
             token(5, 702, "*Status", "POV"),
             token(6, 702, "*Status", "EXH"),

@@ -13,6 +13,8 @@ use crate::clock::{Clock, Time};
 
 /// Address of the general call, which every chip hears.
 const GENERAL_CALL: u8 = 0x00;
+/// All ones: nobody's, and nine clocks with the data line let go.
+const NOBODY: u8 = 0x7F;
 
 /// A chip's refusal to acknowledge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,6 +74,8 @@ struct Seat {
 
 struct Wires {
     seats: Vec<Seat>,
+    /// A device holds the data line, until it has been clocked to the end of its byte.
+    held: bool,
     /// For garbage and flipped bits only.
     noise: Pcg64,
 }
@@ -89,7 +93,7 @@ impl SimI2c {
     /// An empty bus at `frequency` Hz (100 000 or 400 000) on `clock`, which must be a clone of the one of the
     /// bus owner: its transfers block that owner.
     pub fn new(clock: Clock, frequency: u32) -> Self {
-        let wires = Wires { seats: Vec::new(), noise: Pcg64::seed_from_u64(0x12c) };
+        let wires = Wires { seats: Vec::new(), held: false, noise: Pcg64::seed_from_u64(0x12c) };
         let bit = Duration::from_nanos(1_000_000_000 / u64::from(frequency.max(1)));
         Self { wires: Arc::new(Mutex::new(wires)), clock, bit }
     }
@@ -101,6 +105,22 @@ impl SimI2c {
         let seat = Seat { address, chip: Box::new(chip), mischief: mischief.clone(), away: false };
         self.wires.lock().unwrap_or_else(PoisonError::into_inner).seats.push(seat);
         mischief
+    }
+
+    /// A device that was interrupted in an answer holds the data line: no transfer gets through until somebody clocks it
+    /// to the end of its byte, with an address that nobody has.
+    pub fn hold(&self) {
+        self.wires.lock().unwrap_or_else(PoisonError::into_inner).held = true;
+    }
+
+    /// Pulls the reset line of the chip at `address`: it starts from nothing, even where it hung.
+    pub fn pull_reset(&self, address: u8) {
+        let now = self.clock.now();
+        let mut wires = self.wires.lock().unwrap_or_else(PoisonError::into_inner);
+        for seat in wires.seats.iter_mut().filter(|seat| seat.address == address) {
+            seat.mischief.unhang();
+            seat.chip.power_on(now);
+        }
     }
 
     /// Duration of `bytes` bytes with their acknowledge bits.
@@ -116,9 +136,15 @@ impl ErrorType for SimI2c {
 impl I2c for SimI2c {
     fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), SimI2cError> {
         let mut wires = self.wires.lock().unwrap_or_else(PoisonError::into_inner);
-        let Wires { seats, noise } = &mut *wires;
+        let Wires { seats, held, noise } = &mut *wires;
         // Start and stop conditions count one bit each.
         let mut now = self.clock.now() + self.bit;
+        if std::mem::take(held) && address != NOBODY {
+            *held = true;
+            drop(wires);
+            self.clock.block_until(now + self.bytes(1));
+            return Err(SimI2cError(ErrorKind::ArbitrationLoss));
+        }
         let result = if address == GENERAL_CALL {
             let mut heard = false;
             for operation in operations.iter_mut() {
@@ -155,7 +181,7 @@ impl Seat {
         bytes: impl Fn(usize) -> Duration,
     ) -> Result<(), NoAcknowledgeSource> {
         let how = self.mischief.take();
-        if how == Misbehaviour::Silent || how == Misbehaviour::Nak {
+        if matches!(how, Misbehaviour::Silent | Misbehaviour::Nak | Misbehaviour::Hung) {
             self.away |= how == Misbehaviour::Silent;
             *now = *now + bytes(1);
             return Err(NoAcknowledgeSource::Address);

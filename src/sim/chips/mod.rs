@@ -2,6 +2,7 @@
 //!
 //! A test or a procedure holds a [`Mischief`] of each chip, and makes it misbehave while everything runs.
 
+mod ads1115;
 mod alicat;
 mod bno055;
 mod i2c;
@@ -12,6 +13,7 @@ mod pty;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+pub use ads1115::{Ads1115Chip, VoltageSource};
 pub use alicat::AlicatChip;
 pub use bno055::{Bno055Chip, Bno055Sim, Motion, Orientation};
 pub use i2c::{I2cChip, Nak, SimI2c, SimI2cError};
@@ -29,6 +31,8 @@ pub enum Misbehaviour {
     Nak,
     /// Loses its power for a moment before the exchange and starts from nothing, as after a brown-out.
     Reset,
+    /// Hangs: does not acknowledge until its reset line is pulled ([`SimI2c::pull_reset`]) or its power is cut.
+    Hung,
     /// Answers with random bytes.
     Garbage,
     /// The most significant bit of one byte of the answer is flipped.
@@ -72,6 +76,15 @@ impl Mischief {
     /// Behaves from now on.
     pub fn stop(&self) {
         self.plan(|p| *p = Plan::default());
+    }
+
+    /// Its reset has been pulled: what hung runs again.
+    fn unhang(&self) {
+        self.plan(|p| {
+            if p.always == Misbehaviour::Hung {
+                *p = Plan::default();
+            }
+        });
     }
 
     /// The chip's side: what to do in this exchange.
