@@ -4,12 +4,14 @@
 use std::path::Path;
 use std::time::Duration;
 
+use freerig::clock::Time;
 use freerig::config::Rig;
 use freerig::config::experiment::{Experiment, Kind};
+use freerig::control::Request;
 use freerig::daemon::experiment::{Attendance, Job, run};
-use freerig::daemon::{Bench, Stepped, procedure};
-use freerig::record::RunResult;
-use freerig::signal::State;
+use freerig::daemon::{Bench, DaemonError, Pump, Stepped, procedure};
+use freerig::record::{Recorder, RunResult};
+use freerig::signal::{State, TickRecord};
 
 fn rig(runs: &Path) -> Rig {
     let mut rig = Rig::load(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/rig.toml"))).expect("rig.toml is clean");
@@ -46,4 +48,47 @@ fn the_same_seed_gives_the_same_bits() {
     let (first, second) = (once(), once());
     assert!(first.len() > 4000, "{}", first.len());
     assert!(first == second);
+}
+
+/// A bench on a machine with so much to do that its procedures come to look every 0.7 s only.
+struct Seldom(Stepped);
+
+impl Bench for Seldom {
+    fn now(&self) -> Time {
+        self.0.now()
+    }
+    fn request(&mut self, request: Request) -> Result<(), DaemonError> {
+        self.0.request(request)
+    }
+    fn pass(&mut self, duration: Duration) -> Result<(), DaemonError> {
+        self.0.pass(duration.max(Duration::from_millis(700)))
+    }
+    fn heartbeat(&mut self) {
+        self.0.heartbeat();
+    }
+    fn with_pump<R>(&mut self, look: impl FnOnce(&mut Pump) -> R) -> R {
+        self.0.with_pump(look)
+    }
+    fn latest(&mut self) -> TickRecord {
+        self.0.latest()
+    }
+    fn attach(&mut self, recorder: Recorder) {
+        self.0.attach(recorder);
+    }
+    fn detach(&mut self) -> Result<Option<Recorder>, DaemonError> {
+        self.0.detach()
+    }
+}
+
+#[test]
+fn a_run_is_done_however_late_its_end_is_seen() {
+    let folder = tempfile::tempdir().unwrap();
+    let rig = rig(folder.path());
+    let mut bench = Seldom(Stepped::new(&rig).unwrap());
+    procedure::arm(&mut bench, &rig, true).unwrap();
+    let text = "kind = \"trajectory\"\nangles_deg = [10]\nmove_s = 0.5\nhold_s = 0.1\n";
+    let experiment = Experiment::parse(Path::new("short.toml"), text, &rig, None).unwrap();
+    let job = Job { accept_margin: true, stepped: true, ..Job::new(experiment, Attendance::Detached) };
+    let runs = run(&mut bench, &rig, &job, &mut |_| {}).unwrap();
+    assert_eq!(runs[0].stop().unwrap().result, RunResult::Done, "{:?}", runs[0].stop());
 }

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::build::round_of;
-use super::free::{Connection, RawFree, RawImu, read_free};
+use super::free::{RawFree, RawImu, read_free};
 use super::load::{Files, Library};
 use super::module::{RawModule, read_module};
 use super::reader::Section;

@@ -9,7 +9,7 @@ use super::cycles::Counter;
 use super::error::DaemonError;
 use super::follow::{self, Follower, Guide};
 use super::procedure::{LOOK, Refusals, refused};
-use super::{Bench, PoseDesk, margin};
+use super::{Bench, Change, PoseDesk, margin};
 use crate::config::experiment::{Experiment, Kind};
 use crate::config::{Rig, SourceFile, Whisk};
 use crate::control::{Gains, Request};
@@ -299,12 +299,12 @@ fn attend<B: Bench>(
 ) -> Result<RunResult, DaemonError> {
     let attended = attendance != Attendance::Detached;
     let mut refusals = Refusals::of(bench, RequestKind::Start);
+    let mut heard = bench.with_pump(|p| p.changes_so_far());
     if attendance == Attendance::Here {
         bench.heartbeat();
     }
     bench.request(Request::Start { program: Arc::clone(program), attended, identify })?;
-    let mut reached = 0.0_f64;
-    let mut started = false;
+    let mut ended = None;
     let mut given_up = false;
     loop {
         bench.pass(LOOK)?;
@@ -323,20 +323,28 @@ fn attend<B: Bench>(
             bench.request(Request::Stop)?;
             given_up = true;
         }
-        if latest.program_time.is_finite() {
-            started = true;
-            reached = reached.max(latest.program_time);
+        ended = ended.or(bench.with_pump(|p| p.changes(&mut heard).find_map(end_of_program)));
+        match (ended, latest.state) {
+            (Some(RunResult::Done), _) => return Ok(RunResult::Done),
+            (_, State::Faulting) if latest.latched.is_empty() => {}
+            (_, State::Faulting | State::Faulted) => return Err(aftermath(bench, rig, latest.latched)?),
+            (Some(result), _) => return Ok(result),
+            (None, _) => {}
         }
-        match latest.state {
-            State::Track | State::Identify => {}
-            State::Faulting if latest.latched.is_empty() => {}
-            State::Faulting | State::Faulted => return Err(aftermath(bench, rig, latest.latched)?),
-            _ if started => {
-                let whole = reached + 3.0 * LOOK.as_secs_f64() >= program.duration;
-                return Ok(if whole { RunResult::Done } else { RunResult::Aborted });
-            }
-            _ => {}
+    }
+}
+
+/// How the program has ended, if this change is its end. The tick's own record of it tells, and not where the program
+/// was when this thread last came to look: on a loaded machine that may be long before.
+fn end_of_program((record, change): (TickRecord, Change)) -> Option<RunResult> {
+    match change {
+        Change::State { from: State::Track | State::Identify, to: State::Hold }
+            if record.request != RequestKind::Stop =>
+        {
+            Some(RunResult::Done)
         }
+        Change::State { from: State::Track | State::Identify, .. } => Some(RunResult::Aborted),
+        _ => None,
     }
 }
 
