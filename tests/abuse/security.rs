@@ -158,7 +158,7 @@ fn no_name_in_a_request_becomes_a_path() {
                 let free = Some(name.to_owned());
                 let problem = refused(client.start(&Start { free, ..hold() }).await);
                 assert_eq!(problem.kind, ProblemKind::Usage, "{problem}");
-                let set = Set { free: name.into(), pressure_pa: Some(1.0), angle_rad: None };
+                let set = Set { free: name.into(), pressure_pa: Some(1.0), angle_rad: None, temperature_degc: None };
                 assert!(refused(client.set(&set).await).error.contains("there is no FREE called"));
                 assert!(refused(client.profile(name).await).error.contains("there is no FREE called"));
                 assert_eq!(refused(client.heartbeat(name).await).kind, ProblemKind::NotFound);
