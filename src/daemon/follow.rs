@@ -233,7 +233,7 @@ impl<'g> Follower<'g> {
             pressures: std::array::from_fn(|i| plan(self.channels[i].free, then).position),
             highest: std::array::from_fn(|i| self.channels[i].highest),
             most: trim::MOST,
-            margin: MARGIN,
+            margin: MARGIN.min(0.9 * self.guide.course.least_margin()),
         };
         let station = self.guide.course.at(then);
         // The plan itself, led by what the regulator does to it.

@@ -57,7 +57,7 @@ impl Sighting {
             None => None,
             Some([w, x, y, z]) => {
                 let q = Quaternion::new(w, x, y, z);
-                if !((q.norm() - 1.0).abs() <= 0.01) {
+                if !(0.99..=1.01).contains(&q.norm()) {
                     return Err(format!("quaternion_wxyz has the norm {}: must be 1 within 1 %", q.norm()));
                 }
                 Some(UnitQuaternion::from_quaternion(q))

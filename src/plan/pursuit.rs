@@ -25,6 +25,8 @@ use crate::fem::module::{Loads, State};
 const ROTATION: f64 = 0.3 * std::f64::consts::PI / 180.0;
 /// Error of a target, m, that a change of a pressure by 1 Pa is worth (0.02 mm and 1 psi).
 const WEIGHT: f64 = 2e-5 / crate::units::PASCAL_PER_PSI;
+/// A model that has learned all it can is still off by so much, m: a pose is not judged by less.
+const MODEL: f64 = 5e-4;
 /// A reading that is farther from what is expected than so many standard deviations is none.
 const OUTLIER: f64 = 6.0;
 /// Longest time between two readings that counts as such, s.
@@ -65,7 +67,7 @@ pub struct Ahead {
     pub highest: [f64; 4],
     /// The largest change of each, Pa.
     pub most: f64,
-    /// The least smooth margin that a change may leave, unless the plan leaves less.
+    /// The least smooth margin that a change may leave.
     pub margin: f64,
 }
 
@@ -120,7 +122,7 @@ impl<'a> Pursuit<'a> {
         let mut believed = None;
         if let Some((position, noise)) = seen.position {
             let off = |belief: &Belief, i: usize| position[i] - model[i] - belief.expected(&rows[3 + i], payload);
-            let sure = |i: usize| (self.belief.variance(&rows[3 + i]) + noise * noise).sqrt();
+            let sure = |i: usize| (self.belief.variance(&rows[3 + i]) + noise * noise + MODEL * MODEL).sqrt();
             let within = (0..3).all(|i| off(&self.belief, i).abs() <= OUTLIER * sure(i));
             for i in (0..3).filter(|_| within) {
                 let off = off(&self.belief, i);

@@ -119,6 +119,8 @@ pub struct Course {
     up: Vec<Station>,
     /// From the beginning to the end of a period.
     round: Vec<Station>,
+    /// The least smooth margin of the stations.
+    least: f64,
 }
 
 impl Course {
@@ -153,7 +155,13 @@ impl Course {
             targets: way.targets.iter().map(|p| Vector3::from(*p)).collect(),
             round: round.collect::<Result<_, _>>()?,
             up,
+            least: walk.least,
         })
+    }
+
+    /// The least smooth margin that the plan itself leaves.
+    pub fn least_margin(&self) -> f64 {
+        self.least
     }
 
     /// Where the plan is at its time `t`, s.
@@ -202,19 +210,21 @@ struct Walk<'a> {
     rest: &'a Rest<'a>,
     state: State,
     varied: Vec<State>,
+    least: f64,
 }
 
 impl<'a> Walk<'a> {
     fn new(family: &'a Family, rest: &'a Rest<'a>) -> Result<Walk<'a>, PlanError> {
         let dead = rest.loads(&[0.0; FREES]);
         let varied = family.varied.iter().map(|module| module.equilibrium(&dead)).collect::<Result<_, _>>()?;
-        Ok(Walk { family, rest, state: rest.state().clone(), varied })
+        Ok(Walk { family, rest, state: rest.state().clone(), varied, least: f64::INFINITY })
     }
 
     /// The station at `pressures`.
     fn to(&mut self, pressures: &[f64; 4]) -> Result<Station, PlanError> {
         let loads: Loads = self.rest.loads(pressures);
         self.state = self.family.module.equilibrium_from(&self.state, &loads)?;
+        self.least = self.least.min(self.rest.margin(&self.state).smooth);
         let stiffness = self.state.stiffness();
         let mut wrenches = Wrenches::zeros();
         for (unknown, (module, state)) in self.family.varied.iter().zip(&mut self.varied).enumerate() {
