@@ -209,7 +209,7 @@ fn read(mut root: Section<'_>, path: &Path, rig: &Rig, free: Option<&str>) -> Op
     };
     let stem = path.file_stem().map_or_else(|| kind.name().into(), |stem| stem.to_string_lossy().into_owned());
     let name = root.optional_text("name").unwrap_or(stem);
-    let note = root.optional_text("note").unwrap_or_default();
+    let note = root.optional_lines("note").unwrap_or_default();
     let repeat = root.integer("repeat", 1, 1..=1000) as u32;
     let (axes, whisk) = match kind {
         Kind::Whisk => {

@@ -51,6 +51,7 @@ pub use loads::KnownLoad;
 pub use material::Material;
 pub use module::{FREES as MODULE_FREES, ModuleConfig};
 pub use problem::{ConfigError, Problem};
+pub use reader::is_plain;
 pub use rig::{Backend, LoopConfig, RecordConfig, Rig, SocketConfig};
 pub use script::Script;
 pub use tables::{Waypoints, pressure_rows, waypoints};

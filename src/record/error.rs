@@ -171,6 +171,9 @@ fn remedy(error: &std::io::Error) -> &'static str {
         std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
             "; the disk is full: delete old runs, or start freerig in a folder on another disk"
         }
+        std::io::ErrorKind::FileTooLarge => {
+            "; files may not grow any further here: raise the limit (LimitFSIZE= of the unit, `ulimit -f`), or make shorter runs"
+        }
         std::io::ErrorKind::PermissionDenied => "; this user may not write here",
         std::io::ErrorKind::ReadOnlyFilesystem => "; the file system is read-only",
         _ => "",
