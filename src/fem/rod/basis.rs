@@ -12,7 +12,8 @@ pub struct Resolution {
 }
 
 impl Resolution {
-    /// 0.01 % of the length for bends up to a right angle, critical loads of a plate that is free to move to 1 %.
+    /// 0.01 % of the length for moderate bends, 0.15 % for turns beyond a radian ([`refined`](Resolution::refined) ones tell
+    /// which), critical loads of a plate that is free to move to 1 %.
     /// Rods between clamped ends buckle in shapes that wind more: degree 5 or more, and twice the steps.
     pub const DEFAULT: Resolution = Resolution { degree: 4, steps: 4 };
 
