@@ -25,7 +25,7 @@ mod tiers;
 
 pub use choice::{Choice, Considered, choose};
 pub use error::FidelityError;
-pub use module::{rods_discretisation_error, rods_model_error};
+pub use module::{SolidAnswers, dead_length, module_mesh, rods_discretisation_error, rods_model_error, solid_answers};
 pub use tiers::{ask, model_error};
 
 use super::ends::Ends;
