@@ -35,11 +35,7 @@ pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
         }
     };
     if let Some(salvage) = &salvage {
-        context.note(format!(
-            "{}
-venting what can be read of it",
-            salvage.error
-        ));
+        context.note(format!("{}\nventing what can be read of it", salvage.error));
     }
     let _lock = RigLock::take(&rig, PATIENCE).map_err(|error| match error {
         DaemonError::Owned(_) => Failure::rig(error).remedy("it is the daemon's to vent: `freerig estop`"),
