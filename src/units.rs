@@ -175,6 +175,12 @@ quantity!(
 );
 
 quantity!(
+    /// Temperature on the Celsius scale; the degree Celsius is a unit of the SI. SI: degC.
+    Temperature, "temperature", celsius,
+    [("degC", 1.0)]
+);
+
+quantity!(
     /// A share of a whole. SI: 1.
     Percent, "share", of_one,
     [("%", 0.01), ("ppm", 1e-6)]

@@ -6,186 +6,24 @@
 use std::fs::File;
 use std::io::BufReader;
 use std::os::unix::net::UnixDatagram;
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use freerig::config::Rig;
 use freerig::daemon::api::{Arm, Happening, ProblemKind, RunResult, Start, Status};
-use freerig::daemon::client::{Client, ClientError};
+use freerig::daemon::client::ClientError;
 use freerig::daemon::{Bench, Live, RigLock, Switches, procedure};
 use freerig::record::{RRD_NAME, Run};
 use freerig::signal::State;
 use rerun::external::re_log_encoding::DecoderApp;
 use rerun::log::LogMsg;
-use tempfile::TempDir;
 
-const PROGRAM: &str = env!("CARGO_BIN_EXE_freerig");
-/// Far beyond anything that is waited for here.
-const LONG: Duration = Duration::from_secs(60);
-/// Attempts on a machine that stalls.
-const ATTEMPTS: usize = 4;
-/// Faults that a stalled machine brings about, in the daemon's log or in the failure.
-const STALLS: [&str; 5] = ["pressure_stale", "imu_stale", "imu_implausible", "deadline", "pressure_not_following"];
+#[path = "daemon/place.rs"]
+mod place;
+
+use place::{Daemon, LONG, PROGRAM, Place, attempt, runtime};
 
 /// A long experiment that asks for little.
 const HOLD: &str = "kind = \"sweep\"\npressures_psi = [2]\nmove_s = 0.5\nhold_s = 30\nand_back = false\n";
-
-/// A rig of its own in a folder of its own.
-struct Place {
-    folder: TempDir,
-}
-
-impl Place {
-    fn new() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let text = std::fs::read_to_string(here.join("rig.toml")).unwrap();
-        let text = text.replace("rate_hz = 500", "rate_hz = 100").replace("live_view = true", "live_view = false");
-        std::fs::write(folder.path().join("rig.toml"), text).unwrap();
-        std::fs::create_dir(folder.path().join("calibration")).unwrap();
-        std::fs::copy(here.join("calibration/paper.toml"), folder.path().join("calibration/paper.toml")).unwrap();
-        Self { folder }
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-
-    fn rig(&self) -> Rig {
-        let mut rig = Rig::load(&self.path("rig.toml")).unwrap();
-        rig.record.directory = self.path("runs");
-        rig
-    }
-
-    fn client(&self) -> Client {
-        Client::new(&self.path("runs/control.sock"))
-    }
-
-    fn log(&self) -> String {
-        std::fs::read_to_string(self.path("log")).unwrap_or_default()
-    }
-
-    /// One command to its end.
-    fn command(&self, arguments: &[&str]) -> Output {
-        Command::new(PROGRAM).args(arguments).current_dir(self.folder.path()).stdin(Stdio::null()).output().unwrap()
-    }
-
-    /// A command that must end with `status`; what it printed on both.
-    #[track_caller]
-    fn expect(&self, arguments: &[&str], status: i32) -> String {
-        let output = self.command(arguments);
-        let text = [output.stdout, output.stderr].concat();
-        let text = String::from_utf8(text).unwrap();
-        assert_eq!(output.status.code(), Some(status), "{arguments:?}: {text}\n{}", self.log());
-        text
-    }
-
-    #[track_caller]
-    fn status(&self) -> Status {
-        let output = self.command(&["status", "--json"]);
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        serde_json::from_slice(&output.stdout).unwrap()
-    }
-
-    /// Waits for a status.
-    #[track_caller]
-    fn until(&self, what: &str, wanted: impl Fn(&Status) -> bool) -> Status {
-        let end = Instant::now() + LONG;
-        loop {
-            let status = self.status();
-            if wanted(&status) {
-                return status;
-            }
-            assert!(Instant::now() < end, "not {what}: {status:?}\n{}", self.log());
-            std::thread::sleep(Duration::from_millis(50));
-        }
-    }
-
-    /// Changes rig.toml.
-    fn rewrite(&self, change: impl Fn(String) -> String) {
-        let path = self.path("rig.toml");
-        std::fs::write(&path, change(std::fs::read_to_string(&path).unwrap())).unwrap();
-    }
-
-    /// Starts the daemon and waits until the rig is disarmed.
-    fn daemon(&self) -> Daemon {
-        let daemon = self.booting(&[]);
-        self.until("disarmed", |status| status.state == "disarmed");
-        daemon
-    }
-
-    /// Starts the daemon with some environment and waits until it answers.
-    fn booting(&self, environment: &[(&str, &str)]) -> Daemon {
-        let log = File::options().create(true).append(true).open(self.path("log")).unwrap();
-        let mut command = Command::new(PROGRAM);
-        command.arg("run").current_dir(self.folder.path()).stdin(Stdio::null()).stdout(Stdio::null()).stderr(log);
-        let mut daemon = Daemon(command.envs(environment.iter().copied()).spawn().unwrap());
-        let end = Instant::now() + LONG;
-        while self.command(&["status"]).status.code() != Some(0) {
-            assert_eq!(daemon.0.try_wait().unwrap(), None, "{}", self.log());
-            assert!(Instant::now() < end, "{}", self.log());
-            std::thread::sleep(Duration::from_millis(50));
-        }
-        daemon
-    }
-}
-
-/// A running daemon; killed where a test fails.
-struct Daemon(Child);
-
-impl Daemon {
-    fn signal(&self, name: &str) {
-        let killed = Command::new("kill").args([name, &self.0.id().to_string()]).status().unwrap();
-        assert!(killed.success());
-    }
-
-    /// Waits for its end; its exit status, none after a kill.
-    fn ended(&mut self) -> Option<i32> {
-        let end = Instant::now() + LONG;
-        loop {
-            if let Some(status) = self.0.try_wait().unwrap() {
-                return status.code();
-            }
-            assert!(Instant::now() < end, "the daemon has not ended");
-            std::thread::sleep(Duration::from_millis(20));
-        }
-    }
-}
-
-impl Drop for Daemon {
-    fn drop(&mut self) {
-        self.0.kill().ok();
-        self.0.wait().ok();
-    }
-}
-
-/// One rig at a time: two cores are few.
-fn alone() -> MutexGuard<'static, ()> {
-    static ONE: Mutex<()> = Mutex::new(());
-    ONE.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Runs `scenario`; again where it failed because the machine stood still and the rig faulted.
-fn attempt(scenario: impl Fn(&Place)) {
-    let _alone = alone();
-    for left in (0..ATTEMPTS).rev() {
-        let place = Place::new();
-        let Err(panic) = catch_unwind(AssertUnwindSafe(|| scenario(&place))) else { return };
-        let log = place.log() + panic.downcast_ref::<String>().map_or("", String::as_str);
-        let stalled = STALLS.iter().any(|fault| log.contains(fault));
-        if left == 0 || !stalled {
-            resume_unwind(panic);
-        }
-        eprintln!("the machine stalled; once more. The daemon's log:\n{log}");
-    }
-}
-
-fn runtime() -> tokio::runtime::Runtime {
-    tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap()
-}
 
 fn start(detach: bool) -> Start {
     Start { kind: "sweep".into(), experiment: HOLD.into(), detach, ..Start::default() }
@@ -508,21 +346,14 @@ fn devices_that_are_not_there_keep_it_from_arming_and_the_vent_from_being_verifi
 }
 
 #[test]
-fn a_terminated_daemon_ends_vented_from_every_state() {
-    // Booting and faulted are above and below.
+fn a_terminated_daemon_has_seen_the_pressure_go_before_it_ends() {
     for state in ["disarmed", "arming", "hold", "track", "ramp_down"] {
         attempt(|place| {
             let mut daemon = place.daemon();
-            let background = |arguments: &[&str]| {
-                let mut command = Command::new(PROGRAM);
-                command.args(arguments).current_dir(place.folder.path());
-                command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-                Daemon(command.spawn().unwrap())
-            };
             let mut asked = Vec::new();
             match state {
                 "disarmed" => {}
-                "arming" => asked.push(background(&["arm", "--accept-margin"])),
+                "arming" => asked.push(place.background(&["arm", "--accept-margin"])),
                 _ => {
                     place.expect(&["arm", "--accept-margin"], 0);
                     place.expect(&["set", "pressure", "2psi"], 0);
@@ -532,7 +363,7 @@ fn a_terminated_daemon_ends_vented_from_every_state() {
                 "track" => {
                     runtime().block_on(place.client().start(&start(true))).unwrap();
                 }
-                "ramp_down" => asked.push(background(&["disarm"])),
+                "ramp_down" => asked.push(place.background(&["disarm"])),
                 _ => {}
             }
             place.until(state, |status| status.state == state);
@@ -573,7 +404,7 @@ fn systemd_is_told_when_it_is_ready_that_it_lives_what_it_does_and_that_it_stops
 fn a_live_rig_boots_arms_disarms_and_stops_vented() {
     attempt(|place| {
         let rig = place.rig();
-        let _owner = RigLock::take(&rig.socket.path, Duration::ZERO).unwrap();
+        let _owner = RigLock::take(&rig, Duration::ZERO).unwrap();
         let live = Live::start(&rig, Switches::default()).unwrap();
         let mut bench = live.bench();
         procedure::arm(&mut bench, &rig, true).unwrap_or_else(|error| panic!("{error}"));

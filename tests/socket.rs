@@ -327,3 +327,20 @@ async fn without_a_daemon_the_client_says_so_and_what_to_do() {
         assert!(error.remedy().contains("freerig run"), "{}", error.remedy());
     }
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_asks_for_nothing_or_for_more_than_one_thing_keeps_no_seat() {
+    let Bench { client, path, server: _server, folder: _folder, .. } = bench();
+    // More than there are seats: silent ones, and ones that never end their request's head.
+    let mut crowd: Vec<_> = (0..80).map(|_| UnixStream::connect(&path).unwrap()).collect();
+    for (index, stream) in crowd.iter_mut().enumerate() {
+        stream.write_all([&b""[..], b"\r\n\r\n\n\n", b"GET /v1/status HTTP/1.1\r\nhost: x\r\n"][index % 3]).unwrap();
+    }
+    // Twice the five seconds that each may take, for two houses full of them.
+    let answer = tokio::time::timeout(Duration::from_secs(20), client.status()).await;
+    assert_eq!(answer.expect("the house is full for ever").unwrap().state, "disarmed");
+    drop(crowd);
+    let twice = b"GET /v1/status HTTP/1.1\r\nhost: x\r\n\r\n".repeat(2);
+    let answer = tokio::task::spawn_blocking(move || exchange(&path, &twice)).await.unwrap();
+    assert_eq!(answer.matches("HTTP/1.1 200").count(), 1, "{answer}");
+}

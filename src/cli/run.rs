@@ -31,16 +31,20 @@ pub struct Args {}
 /// Runs the daemon until it is told to stop.
 pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
     log::start(LevelFilter::INFO);
-    let rig = Rig::load(&context.rig)?;
-    let _lock = RigLock::take(&rig.socket.path, PATIENCE).map_err(Failure::rig)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(THREADS).enable_all().build()?;
-    let ended = runtime.block_on(serve(rig, context));
+    // Before anything is opened: whoever stops it from here on finds it stopped in order.
+    let stop = {
+        let _inside = runtime.enter();
+        Stop::new()?
+    };
+    let rig = Rig::load(&context.rig)?;
+    let _lock = RigLock::take(&rig, PATIENCE).map_err(Failure::rig)?;
+    let ended = runtime.block_on(serve(rig, stop, context));
     runtime.shutdown_timeout(FAREWELL);
     ended
 }
 
-async fn serve(rig: Rig, context: &Context) -> Result<(), Failure> {
-    let stop = Stop::new()?;
+async fn serve(rig: Rig, stop: Stop, context: &Context) -> Result<(), Failure> {
     let access = Access::new(rig.socket.group.as_deref()).map_err(Failure::usage)?;
     let (desk, handle) = desk(Status {
         rig: rig.name.clone(),
@@ -97,6 +101,8 @@ struct Stop([(&'static str, Signal); 3]);
 
 impl Stop {
     fn new() -> std::io::Result<Self> {
+        // A file that may not grow is an error of its writer; by itself this signal would end the daemon, unvented.
+        drop(signal(SignalKind::from_raw(rustix::process::Signal::XFSZ.as_raw()))?);
         let on = |name, kind| signal(kind).map(|signal| (name, signal));
         Ok(Self([
             on("SIGTERM", SignalKind::terminate())?,

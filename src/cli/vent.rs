@@ -28,7 +28,7 @@ pub struct Args {}
 pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
     log::start(LevelFilter::WARN);
     let rig = Rig::load(&context.rig)?;
-    let _lock = RigLock::take(&rig.socket.path, PATIENCE).map_err(|error| match error {
+    let _lock = RigLock::take(&rig, PATIENCE).map_err(|error| match error {
         DaemonError::Owned(_) => Failure::rig(error).remedy("it is the daemon's to vent: `freerig estop`"),
         error => Failure::rig(error),
     })?;

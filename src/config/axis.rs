@@ -1,6 +1,7 @@
 //! What an experiment file asks of one FREE.
 
 use super::experiment::Kind;
+use super::knob::Temperatures;
 use super::reader::Section;
 use super::rig::Rig;
 use crate::control::FreeControl;
@@ -22,12 +23,13 @@ const SHAPES: [(&str, Shape); 4] =
 /// (which has been noted).
 pub(super) fn read_axis(section: &mut Section<'_>, kind: Kind, rig: &Rig, free: Option<&str>) -> Option<(usize, Axis)> {
     let index = read_free(section, rig, free);
-    let given = ["angles_deg", "pressures_psi", "segments"];
+    let knob = index.map(|index| Turned { name: &rig.control.frees[index].name, sets: rig.temperatures(index) });
+    let given = ["angles_deg", "pressures_psi", "temperatures_degc", "segments"];
     given.iter().for_each(|key| section.expect(key));
     let present: Vec<&str> = given.into_iter().filter(|key| section.has(key)).collect();
     let axis = match present.as_slice() {
-        ["segments"] => read_segments(section),
-        [_] => read_course(section, kind),
+        ["segments"] => read_segments(section, knob),
+        [_] => read_course(section, kind, knob),
         [] => {
             section.require(if kind == Kind::Sweep { "pressures_psi" } else { "angles_deg" }, "the values to visit");
             ["shape", "move_s", "hold_s", "and_back"].iter().for_each(|key| section.expect(key));
@@ -42,6 +44,27 @@ pub(super) fn read_axis(section: &mut Section<'_>, kind: Kind, rig: &Rig, free: 
     let (index, axis) = (index?, axis?);
     check_limits(section, &rig.control.frees[index], &axis, present.first().copied().unwrap_or_default());
     Some((index, axis))
+}
+
+/// The FREE that an axis is about, and what its knob sets.
+#[derive(Clone, Copy)]
+struct Turned<'r> {
+    name: &'r str,
+    sets: Option<&'r Temperatures>,
+}
+
+impl Turned<'_> {
+    /// The angle, rad, that sets `temperature`, degrees Celsius, the value of `key`; none where there is none, which is
+    /// noted.
+    fn angle(&self, section: &Section<'_>, key: &str, temperature: f64) -> Option<f64> {
+        let Some(table) = self.sets else {
+            let rule = format!("`{}` has no knob that sets temperatures", self.name);
+            section.reject(key, rule, "ask for angles, or write the knob's table into [free.knob] of rig.toml");
+            return None;
+        };
+        let remedy = "keep within the knob's table";
+        table.angle_of(temperature, self.name).map_err(|rule| section.reject(key, rule, remedy)).ok()
+    }
 }
 
 /// The FREE it is about.
@@ -69,7 +92,7 @@ fn read_free(section: &mut Section<'_>, rig: &Rig, free: Option<&str>) -> Option
 }
 
 /// Values to visit, one after the other, with holds.
-fn read_course(section: &mut Section<'_>, kind: Kind) -> Option<Axis> {
+fn read_course(section: &mut Section<'_>, kind: Kind, knob: Option<Turned<'_>>) -> Option<Axis> {
     let (default_shape, default_move) = match kind {
         Kind::Step => (Shape::Step, Some(0.0)),
         Kind::Trajectory => (Shape::Cubic, None),
@@ -77,15 +100,21 @@ fn read_course(section: &mut Section<'_>, kind: Kind) -> Option<Axis> {
     };
     let angles = section.numbers("angles_deg", ANY);
     let pressures = section.numbers("pressures_psi", ANY);
+    let temperatures = section.numbers("temperatures_degc", ANY);
     let shape = section.choice("shape", Some(default_shape), &SHAPES).unwrap_or(default_shape);
     let default_move = if shape == Shape::Step { Some(0.0) } else { default_move };
     let moving = section.number("move_s", default_move, 0.0..=LONGEST);
     let hold = section.number("hold_s", None, 0.0..=LONGEST);
     let and_back = section.flag("and_back", kind == Kind::Sweep);
-    let (quantity, key, mut values) = match (angles, pressures) {
-        (Some(angles), _) => (Quantity::Angle, "angles_deg", angles),
-        (None, Some(pressures)) => (Quantity::Pressure, "pressures_psi", pressures),
-        (None, None) => return None,
+    let (quantity, key, mut values) = match (angles, pressures, temperatures) {
+        (Some(angles), ..) => (Quantity::Angle, "angles_deg", angles),
+        (None, Some(pressures), _) => (Quantity::Pressure, "pressures_psi", pressures),
+        (None, None, Some(temperatures)) => {
+            let (knob, key) = (knob?, "temperatures_degc");
+            let angles = temperatures.into_iter().map(|t| knob.angle(section, key, t)).collect::<Option<_>>()?;
+            (Quantity::Angle, key, angles)
+        }
+        (None, None, None) => return None,
     };
     if values.is_empty() {
         section.reject(key, "is empty", format!("write the values to visit, for example `{key} = [1, 2]`"));
@@ -125,12 +154,12 @@ fn read_course(section: &mut Section<'_>, kind: Kind) -> Option<Axis> {
 }
 
 /// Piece by piece, from zero on.
-fn read_segments(section: &mut Section<'_>) -> Option<Axis> {
+fn read_segments(section: &mut Section<'_>, knob: Option<Turned<'_>>) -> Option<Axis> {
     let mut quantity = None;
     let mut builder = Sequence::starting_at(0.0);
     let mut complete = true;
     for mut segment in section.sections("segments") {
-        let Some((of, shape, to, duration)) = read_segment(&mut segment) else {
+        let Some((of, shape, to, duration)) = read_segment(&mut segment, knob) else {
             complete = false;
             continue;
         };
@@ -161,19 +190,26 @@ fn read_segments(section: &mut Section<'_>) -> Option<Axis> {
 }
 
 /// Quantity (none for a hold), shape (none for a hold), end and duration of one segment.
-fn read_segment(segment: &mut Section<'_>) -> Option<(Option<Quantity>, Option<Shape>, f64, f64)> {
+fn read_segment(
+    segment: &mut Section<'_>,
+    knob: Option<Turned<'_>>,
+) -> Option<(Option<Quantity>, Option<Shape>, f64, f64)> {
     if let Some(hold) = segment.optional_number("hold_s", SHORTEST..=LONGEST) {
         return Some((None, None, 0.0, hold));
     }
     let duration = segment.number("duration_s", None, SHORTEST..=LONGEST);
     let to = [("to_deg", Quantity::Angle), ("to_psi", Quantity::Pressure)]
         .map(|(key, quantity)| segment.optional_number(key, ANY).map(|value| (quantity, value)));
+    let hot = match segment.optional_number("to_degc", ANY) {
+        Some(temperature) => Some((Quantity::Angle, knob?.angle(segment, "to_degc", temperature)?)),
+        None => None,
+    };
     let amplitude = [("amplitude_deg", Quantity::Angle), ("amplitude_psi", Quantity::Pressure)]
         .map(|(key, quantity)| segment.optional_number(key, 0.0..=1e6).map(|value| (quantity, value)));
     let shape = segment.choice("shape", Some(Shape::Cubic), &SHAPES)?;
     let frequency = segment.optional_number("frequency_hz", 1e-4..=100.0);
     let phase = segment.number("phase_deg", 0.0, -360.0..=360.0);
-    let to = to.into_iter().flatten().next();
+    let to = to.into_iter().chain([hot]).flatten().next();
     let amplitude = amplitude.into_iter().flatten().next();
     if !duration.is_finite() {
         return None;
@@ -187,7 +223,7 @@ fn read_segment(segment: &mut Section<'_>) -> Option<(Option<Quantity>, Option<S
             segment.reject(
                 "duration_s",
                 "a segment goes to a value, or swings",
-                "write `to_deg` (or `to_psi`), or `amplitude_deg` (or `amplitude_psi`) with `frequency_hz`, or `hold_s` alone",
+                "write `to_deg` (or `to_psi`, or `to_degc`), or `amplitude_deg` (or `amplitude_psi`) with `frequency_hz`, or `hold_s` alone",
             );
             None
         }

@@ -40,6 +40,7 @@ pub(super) fn build(raw: RawRig, files: Vec<SourceFile>) -> Rig {
         record: raw.record,
         socket: raw.socket,
         calibration_directory: raw.calibration_directory,
+        knobs: raw.frees.iter().map(|free| Some(free.knob.as_ref()?.knob.clone())).collect(),
         calibrations: raw.frees.into_iter().map(|free| free.calibration).collect(),
         files,
     }
@@ -264,6 +265,7 @@ fn bench(raw: &RawRig) -> BenchConfig {
                 scatter: free.twin.scatter,
                 hysteresis: free.twin.hysteresis,
                 load_moment: free.twin.load_moment,
+                knob: free.knob.as_ref().map(|knob| knob.sim),
                 regulator: RegulatorSim {
                     lag: free.twin.lag,
                     dead_time: free.twin.dead_time,

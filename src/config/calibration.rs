@@ -318,7 +318,7 @@ fn read(mut root: Section<'_>) -> Calibration {
     root.integer("schema", None, SCHEMA_VERSION..=SCHEMA_VERSION);
     let mut calibration = Calibration {
         name: root.text("name", "paper"),
-        note: root.optional_text("note").unwrap_or_default(),
+        note: root.optional_lines("note").unwrap_or_default(),
         ..Calibration::default()
     };
     for name in ["geometry", "material", "lumped", "regulator", "imu"] {

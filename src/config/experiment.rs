@@ -7,7 +7,7 @@
 //! repeat = 1
 //! gains = "paper-pi"             # other gains than rig.toml's, while it runs
 //! free = "paper"                 # by default the one of `--free`, or the rig's only FREE
-//! angles_deg = [40, 10, 70]      # or pressures_psi
+//! angles_deg = [40, 10, 70]      # or pressures_psi, or temperatures_degc, which a FREE's knob sets
 //! shape = "cubic"                # step, linear, cubic, quintic
 //! move_s = 1.5                   # to get there ...
 //! hold_s = 1.5                   # ... and to stay there
@@ -25,7 +25,7 @@
 //! ]
 //! ```
 //!
-//! A whisk has keys of its own ([`super::Whisk`]).
+//! A whisk has keys of its own ([`super::Whisk`]); what FREEs beside the module do meanwhile is an `[[axis]]` each.
 //!
 //! An experiment is checked against the rig that is to run it: its FREEs, their limits, their gains.
 
@@ -209,11 +209,15 @@ fn read(mut root: Section<'_>, path: &Path, rig: &Rig, free: Option<&str>) -> Op
     };
     let stem = path.file_stem().map_or_else(|| kind.name().into(), |stem| stem.to_string_lossy().into_owned());
     let name = root.optional_text("name").unwrap_or(stem);
-    let note = root.optional_text("note").unwrap_or_default();
+    let note = root.optional_lines("note").unwrap_or_default();
     let repeat = root.integer("repeat", 1, 1..=1000) as u32;
     let (axes, whisk) = match kind {
         Kind::Whisk => {
-            let (whisk, axes) = read_whisk(&mut root, rig)?;
+            let (whisk, mut axes) = read_whisk(&mut root, rig)?;
+            match root.has("axis") {
+                true => axes.extend(read_axes(&mut root, kind, rig, None)),
+                false => root.expect("axis"),
+            }
             (axes, Some(Whisk { name: name.clone(), ..whisk }))
         }
         _ => (read_axes(&mut root, kind, rig, free), None),

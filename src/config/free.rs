@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use super::calibration::{Calibration, keys};
 use super::gains;
+use super::knob::{RawKnob, read_knob};
 use super::load::Library;
 use super::reader::Section;
 use super::rig::Backend;
@@ -26,6 +27,7 @@ pub(super) struct RawFree {
     pub(super) imu: Option<RawImu>,
     pub(super) regulator: RawRegulator,
     pub(super) limits: Limits,
+    pub(super) knob: Option<RawKnob>,
     pub(super) twin: RawTwin,
 }
 
@@ -128,7 +130,12 @@ pub(super) fn read_free(
     let limits = read_limits(section.section("limits"), &regulator);
     let twin = read_twin(section.section("sim"));
     let calibration = calibration.unwrap_or_default();
-    RawFree { name, calibration, gains, derivative_on, feedforward, model, imu, regulator, limits, twin }
+    let own = calibration.free().direction();
+    let knob = section.has("knob").then(|| read_knob(section.section("knob"), own, &limits));
+    if knob.is_none() {
+        section.expect("knob");
+    }
+    RawFree { name, calibration, gains, derivative_on, feedforward, model, imu, regulator, limits, knob, twin }
 }
 
 fn read_calibration(section: &mut Section<'_>, name: &str, library: &mut Library<'_>) -> Option<Calibration> {

@@ -32,6 +32,7 @@ const SUFFIXES: &[Suffix] = &[
     ("_pa", "pressure", 1.0),
     ("_deg", "angle", PI / 180.0),
     ("_rad", "angle", 1.0),
+    ("_degc", "temperature", 1.0),
     ("_mm2", "area", 1e-6),
     ("_mm", "length", 1e-3),
     ("_cm", "length", 1e-2),

@@ -119,6 +119,10 @@ fn read_members(section: &mut Section<'_>, frees: &[RawFree]) -> Option<[usize; 
             let rule = format!("FREE `{}` has an IMU of its own", free.name);
             section.reject("frees", rule, format!("remove [free.imu] of `{}`: the plate carries one", free.name));
         }
+        if free.knob.is_some() {
+            let rule = format!("FREE `{}` has a knob on its end", free.name);
+            section.reject("frees", rule, format!("remove [free.knob] of `{}`: its end is on the plate", free.name));
+        }
         if free.model {
             let rule = format!("FREE `{}` has `controller = \"model\"`, which is that of a single FREE", free.name);
             section.reject("frees", rule, "remove it: a module follows the pressures of its plan");

@@ -183,8 +183,23 @@ impl<'a> Section<'a> {
 
     /// A text, `None` where the key is absent (or wrong, which is noted).
     pub(super) fn optional_text(&mut self, key: &'static str) -> Option<String> {
+        self.optional_lines(key).filter(|text| {
+            let one = !text.contains(['\n', '\t']);
+            if !one {
+                self.reject(key, "must be one line without control characters", "write plain text");
+            }
+            one
+        })
+    }
+
+    /// A text of one or more lines. Nothing that moves a terminal's cursor is a text.
+    pub(super) fn optional_lines(&mut self, key: &'static str) -> Option<String> {
         match self.get(key)?.get_ref() {
-            DeValue::String(text) => Some(text.to_string()),
+            DeValue::String(text) if is_plain(text) => Some(text.to_string()),
+            DeValue::String(_) => {
+                self.reject(key, "must not contain control characters", "write plain text");
+                None
+            }
             _ => {
                 self.reject(key, "must be a text", format!("write it in quotes: `{key} = \"...\"`"));
                 None
@@ -452,4 +467,9 @@ fn in_range(range: &RangeInclusive<f64>) -> String {
         (false, true) => format!("at most {}", range.end()),
         (false, false) => "finite".into(),
     }
+}
+
+/// Whether `text` can be shown as it is: lines and tabs are all that controls anything in it.
+pub fn is_plain(text: &str) -> bool {
+    text.chars().all(|c| !c.is_control() || matches!(c, '\n' | '\t'))
 }

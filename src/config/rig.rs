@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::calibration::Calibration;
+use super::knob::{Knob, Temperatures};
 use super::load::SourceFile;
 use super::module::ModuleConfig;
 use crate::control::ControlConfig;
@@ -94,6 +95,8 @@ pub struct Rig {
     pub calibration_directory: PathBuf,
     /// Four FREEs under one plate, where the rig has that.
     pub module: Option<ModuleConfig>,
+    /// By FREE: the knob that it turns, where it turns one.
+    pub knobs: Vec<Option<Knob>>,
     /// By FREE: its calibration.
     pub calibrations: Vec<Calibration>,
     /// Every file that it was built from, as it was then; rig.toml is the first.
@@ -111,9 +114,15 @@ impl Rig {
         Some(self.module.as_ref()?.scene(|index| &self.calibrations[index]))
     }
 
-    /// The highest pressure that any FREE of the rig is ever to see, Pa: the hard limit.
+    /// The highest pressure that any FREE of the module is ever to see, Pa: the hard limit; zero without a module.
     pub fn highest_pressure(&self) -> f64 {
-        self.control.frees.iter().map(|free| free.limits.pressure_hard).fold(0.0, f64::max)
+        let frees = self.module.iter().flat_map(|module| module.frees);
+        frees.filter_map(|index| Some(self.control.frees.get(index)?.limits.pressure_hard)).fold(0.0, f64::max)
+    }
+
+    /// What temperatures the knob of the FREE `index` sets; none where it turns none, or that is not known.
+    pub fn temperatures(&self, index: usize) -> Option<&Temperatures> {
+        self.knobs.get(index)?.as_ref()?.temperatures.as_ref()
     }
 
     /// The file that `calibration` was read from: FREEs may share one.

@@ -1,4 +1,4 @@
-//! One connection of the control socket: who it is, and what happens to one that takes nothing.
+//! One connection of the control socket: who it is, and what happens to one that asks nothing or takes nothing.
 
 use std::io;
 use std::pin::Pin;
@@ -17,6 +17,8 @@ use super::socket::Peer;
 
 /// Connections at a time; the emergency stop has a door of its own.
 const SEATS: usize = 64;
+/// A client that has not asked for anything within this time is dropped: it keeps a seat.
+const ASKING: Duration = Duration::from_secs(5);
 /// A reader that takes nothing for this long is dropped.
 const STALL: Duration = Duration::from_secs(2);
 
@@ -42,7 +44,8 @@ impl Listener for Door {
             let seat = Arc::clone(&self.seats).acquire_owned().await.ok();
             match self.listener.accept().await.and_then(|(stream, _)| Ok((stream.peer_cred()?, stream))) {
                 Ok((peer, stream)) => {
-                    let connection = Connection { stream, stalled: None, _seat: seat };
+                    let asking = Some(Asking { end: Box::pin(sleep(ASKING)), begun: false, line_ends: 0 });
+                    let connection = Connection { stream, asking, stalled: None, _seat: seat };
                     return (connection, Peer { uid: peer.uid(), gid: peer.gid() });
                 }
                 Err(error) => {
@@ -64,11 +67,35 @@ impl Connected<IncomingStream<'_, Door>> for Peer {
     }
 }
 
-/// A stream whose writes fail when the other end takes nothing for [`STALL`].
+/// A stream whose reads fail when no request's head has come within [`ASKING`], and whose writes fail when the other
+/// end takes nothing for [`STALL`].
 pub(super) struct Connection {
     stream: UnixStream,
+    /// Until the request's head is complete; what follows it has limits of its own.
+    asking: Option<Asking>,
     stalled: Option<Pin<Box<Sleep>>>,
     _seat: Option<OwnedSemaphorePermit>,
+}
+
+/// Waits for the end of a request's head: an empty line after one that is not.
+struct Asking {
+    end: Pin<Box<Sleep>>,
+    begun: bool,
+    line_ends: u8,
+}
+
+impl Asking {
+    /// Whether the head is complete with `bytes`.
+    fn hears(&mut self, bytes: &[u8]) -> bool {
+        bytes.iter().any(|byte| {
+            match byte {
+                b'\r' => {}
+                b'\n' => self.line_ends += u8::from(self.begun),
+                _ => (self.begun, self.line_ends) = (true, 0),
+            }
+            self.line_ends == 2
+        })
+    }
 }
 
 impl Connection {
@@ -86,7 +113,18 @@ impl Connection {
 
 impl AsyncRead for Connection {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.stream).poll_read(cx, buf)
+        let before = buf.filled().len();
+        let poll = Pin::new(&mut self.stream).poll_read(cx, buf);
+        if let Some(asking) = &mut self.asking {
+            if asking.hears(&buf.filled()[before..]) {
+                self.asking = None;
+            } else if poll.is_pending() {
+                ready!(asking.end.as_mut().poll(cx));
+                tracing::warn!("a client of the control socket asks for nothing: dropped");
+                return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
+            }
+        }
+        poll
     }
 }
 

@@ -231,21 +231,31 @@ fn once<B: Bench>(
             (result, format!("{error}. {}", error.remedy()))
         }
     };
-    let recorder = recorder?.ok_or_else(|| DaemonError::Unfit("another procedure took the recording away".into()))?;
-    let run = recorder.finish(StopDocument { result, message, lost_records, ..StopDocument::default() })?;
-    if result == RunResult::Done && job.and_back && !job.is_stopped() {
-        let back = Arc::new(back_to_zero(&bench.latest(), rig)?);
-        drive(bench, rig, &back, job.attendance, false, &mut |record| {
-            cycles.see(record);
-            tell("taking the pressures down", back.duration, record);
-        })?;
-    }
+    let taken = || DaemonError::Unfit("another procedure took the recording away".into());
+    let stop = StopDocument { result, message, lost_records, ..StopDocument::default() };
+    let run = recorder.and_then(|r| r.ok_or_else(taken)).and_then(|recorder| Ok(recorder.finish(stop)?));
+    // What cannot be recorded is over as well.
+    let over = result == RunResult::Done || (run.is_err() && bench.latest().state == State::Hold);
+    let back = if over && job.and_back && !job.is_stopped() {
+        back_to_zero(&bench.latest(), rig).and_then(|back| {
+            let back = Arc::new(back);
+            drive(bench, rig, &back, job.attendance, false, &mut |record| {
+                cycles.see(record);
+                tell("taking the pressures down", back.duration, record);
+            })
+        })
+    } else {
+        Ok(result)
+    };
+    let run = run?;
+    back?;
     tell("writing the report", 0.0, &bench.latest());
     report(&run);
     Ok(run)
 }
 
-/// Starts `program`, to identify something or not, and watches it to its end.
+/// Starts `program`, to identify something or not, and watches it to its end: its own, or that of the recording, for
+/// nothing goes on that leaves no trace.
 fn drive<B: Bench>(
     bench: &mut B,
     rig: &Rig,
@@ -262,6 +272,7 @@ fn drive<B: Bench>(
     }
     bench.request(Request::Start { program: Arc::clone(program), attended, identify })?;
     let mut ended = None;
+    let mut given_up = false;
     loop {
         bench.pass(LOOK)?;
         if attendance == Attendance::Here {
@@ -272,6 +283,10 @@ fn drive<B: Bench>(
         }
         let latest = bench.latest();
         watch(&latest);
+        if !given_up && bench.with_pump(|p| p.recording_failed()) && latest.state.is_armed() {
+            bench.request(Request::Stop)?;
+            given_up = true;
+        }
         ended = ended.or(bench.with_pump(|p| p.changes(&mut heard).find_map(end_of_program)));
         match (ended, latest.state) {
             (Some(RunResult::Done), _) => return Ok(RunResult::Done),

@@ -134,6 +134,11 @@ impl Pump {
         self.recorder = Some(recorder);
     }
 
+    /// Whether the recording has ended before its time: the disk is full.
+    pub fn recording_failed(&self) -> bool {
+        self.failure.is_some()
+    }
+
     /// Ends the recording; beside the recorder, the error that ended it before its time.
     pub fn detach(&mut self) -> (Option<Recorder>, Option<RecordError>) {
         (self.recorder.take(), self.failure.take())

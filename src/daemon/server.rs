@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use axum::body::{Body, to_bytes};
 use axum::extract::{ConnectInfo, FromRequest, Request as HttpRequest, State};
-use axum::http::{StatusCode, header};
+use axum::http::{HeaderValue, StatusCode, header};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response as HttpResponse};
 use axum::routing::{get, post};
@@ -138,7 +138,7 @@ fn routes(office: Arc<Office>) -> Router {
 
 const ROUTES: &str = "GET /v1/status, /v1/status/stream, /v1/events; POST /v1/arm, disarm, clear, set, start, stop, profile, heartbeat, estop";
 
-/// Lets in whoever may control the rig.
+/// Lets in whoever may control the rig, for one request.
 async fn admit(
     State(office): Shared,
     ConnectInfo(peer): ConnectInfo<Peer>,
@@ -146,13 +146,17 @@ async fn admit(
     next: Next,
 ) -> HttpResponse {
     let known = tokio::task::spawn_blocking(move || office.access.allows(peer)).await;
-    if known.unwrap_or(false) {
-        return next.run(request).await;
-    }
-    tracing::warn!(uid = peer.uid, "a user without the right to control the rig was turned away");
-    let error = format!("the user with the id {} may not control this rig", peer.uid);
-    Problem::new(ProblemKind::Denied, error, "become a member of the group of [socket] in rig.toml, and log in again")
-        .into_response()
+    let mut answer = if known.unwrap_or(false) {
+        next.run(request).await
+    } else {
+        tracing::warn!(uid = peer.uid, "a user without the right to control the rig was turned away");
+        let error = format!("the user with the id {} may not control this rig", peer.uid);
+        let remedy = "become a member of the group of [socket] in rig.toml, and log in again";
+        Problem::new(ProblemKind::Denied, error, remedy).into_response()
+    };
+    // One request a connection: nobody keeps a seat for what may come later.
+    answer.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
+    answer
 }
 
 impl Office {

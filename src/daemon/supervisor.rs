@@ -24,8 +24,8 @@ use super::{
     validity,
 };
 use crate::clock::Time;
-use crate::config::Rig;
 use crate::config::experiment::Experiment;
+use crate::config::{Rig, is_plain};
 use crate::control::Request;
 use crate::record::LiveView;
 use crate::signal::{RefusalCode, State, TickRecord};
@@ -435,6 +435,11 @@ impl Supervisor {
 
     /// The job that `start` asks for.
     fn prepare(&self, start: &Start) -> Result<Job, Problem> {
+        let said = start.note.iter().chain(&start.source);
+        if said.into_iter().any(|text| !is_plain(text)) {
+            let error = "a note, or the name of an experiment's file, must not contain control characters";
+            return Err(Problem::new(ProblemKind::Usage, error, "write plain text"));
+        }
         let path = Path::new(start.source.as_deref().unwrap_or("experiment.toml"));
         let experiment = Experiment::parse(path, &start.experiment, &self.rig, start.free.as_deref())
             .map_err(|error| Problem::new(ProblemKind::Usage, error.to_string(), "correct the experiment's file"))?;

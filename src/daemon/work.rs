@@ -130,9 +130,14 @@ fn result(folder: &Path, error: Option<&DaemonError>) -> RunResult {
             ..RunResult::default()
         }
     });
-    if let Some(error) = error.filter(|_| result.outcome == "done") {
-        result.outcome = if error.is_rig_fault() { "fault" } else { "failed" }.into();
-        result.reason = Some(format!("after its end: {error}. {}", error.remedy()));
+    match (error, result.outcome.as_str()) {
+        (Some(error), "done") => {
+            result.outcome = if error.is_rig_fault() { "fault" } else { "failed" }.into();
+            result.reason = Some(format!("after its end: {error}. {}", error.remedy()));
+        }
+        // Its record ends early, and only the daemon knows why.
+        (Some(error), "incomplete") => result.reason = Some(format!("{error}. {}", error.remedy())),
+        _ => {}
     }
     result
 }

@@ -104,6 +104,15 @@ impl Law {
         }
     }
 
+    /// Exponent alpha of its Ogden law: 2 of a neo-Hookean one, none of a linear one.
+    pub fn exponent(&self) -> Option<f64> {
+        match *self {
+            Law::Ogden { alpha, .. } => Some(alpha),
+            Law::NeoHookean { .. } => Some(2.0),
+            Law::Linear { .. } => None,
+        }
+    }
+
     /// The same law with another shear modulus: how a solver makes it dimensionless.
     pub fn with_shear_modulus(self, mu: f64) -> Law {
         match self {

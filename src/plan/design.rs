@@ -86,7 +86,11 @@ pub fn designs(
     tubes.par_iter().map(one).collect()
 }
 
-fn design(tube: &Tube, pressures: &[f64], tolerance: f64) -> Result<Design, SectionError> {
+/// One design, as [`designs`].
+///
+/// # Errors
+/// No tube, or a path that fails otherwise than at a limit.
+pub fn design(tube: &Tube, pressures: &[f64], tolerance: f64) -> Result<Design, SectionError> {
     let (free, free_limit, free_error) = path(tube, pressures, Ends::FREE, tolerance)?;
     let (blocked, blocked_limit, blocked_error) = path(tube, pressures, Ends::BLOCKED, tolerance)?;
     Ok(Design { tube: *tube, free, free_limit, blocked, blocked_limit, error: free_error.max(blocked_error) })

@@ -30,6 +30,7 @@ pub mod path;
 mod quadratic;
 mod rest;
 mod search;
+pub mod study;
 mod target;
 pub mod whisk;
 pub mod workspace;

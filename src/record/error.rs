@@ -120,6 +120,25 @@ pub enum RecordError {
         /// Why.
         reason: String,
     },
+    /// The folder belongs to another study.
+    #[error(
+        "{path}: the study in this folder asks something else ({differs}); ask the same, or choose another folder",
+        path = path.display()
+    )]
+    OtherStudy {
+        /// Its study.toml.
+        path: PathBuf,
+        /// What differs.
+        differs: String,
+    },
+    /// A piece of a study is not one.
+    #[error("{path}: {reason}; delete this file and run the study again: it computes what is missing", path = path.display())]
+    Piece {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
 }
 
 /// Result of the floor `record`.
@@ -151,6 +170,9 @@ fn remedy(error: &std::io::Error) -> &'static str {
     match error.kind() {
         std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => {
             "; the disk is full: delete old runs, or start freerig in a folder on another disk"
+        }
+        std::io::ErrorKind::FileTooLarge => {
+            "; files may not grow any further here: raise the limit (LimitFSIZE= of the unit, `ulimit -f`), or make shorter runs"
         }
         std::io::ErrorKind::PermissionDenied => "; this user may not write here",
         std::io::ErrorKind::ReadOnlyFilesystem => "; the file system is read-only",

@@ -8,7 +8,7 @@
 //! | `run.rrd` | the same for rerun's viewer, with a blueprint |
 //! | `report.html` | one self-contained page with plots and a table of figures |
 //!
-//! A run that was killed is readable up to its last whole batch (100 ms).
+//! A run that was killed is readable up to its last whole batch (100 ms); its `run.rrd` lacks its last sixtieth.
 
 mod bench;
 mod blueprint;
@@ -45,6 +45,7 @@ mod shape;
 mod sheet;
 mod signals;
 mod stiffness;
+mod study;
 mod tube;
 mod views;
 mod way;
@@ -81,6 +82,7 @@ pub use samples::{Batches, FILE_NAME as SAMPLES_NAME, Records, Table, floats};
 pub use sheet::Sheet;
 pub use signals::Signals;
 pub use stiffness::stiffness_sheet;
+pub use study::{Study, StudyDocument, study_sheet};
 pub use tube::TubeDocument;
 pub use way::way_sheet;
 pub use whisk::whisk_sheet;

@@ -129,7 +129,7 @@ impl Recorder {
             return Err(error);
         }
         if let Some(rerun) = &mut self.rerun
-            && let Err(error) = rerun.send(&batch)
+            && let Err(error) = rerun.send(batch.clone())
         {
             tracing::error!(run = self.run.id(), %error, "run.rrd ends here; the samples go on");
             self.rerun_error = error.to_string();

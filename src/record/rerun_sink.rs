@@ -6,6 +6,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use arrow::array::{AsArray, RecordBatch};
+use arrow::compute::concat_batches;
 use arrow::datatypes::{UInt8Type, UInt32Type, UInt64Type};
 use rerun::{
     Color, LineStrips3D, Mesh3D, Points3D, RecordingStream, RecordingStreamBuilder, Scalars, SeriesLines, StateChange,
@@ -27,6 +28,10 @@ use crate::units::PASCAL_PER_PSI;
 pub const APPLICATION_ID: &str = "freerig";
 /// Time between two drawings, s.
 const FRAME: f64 = 0.02;
+/// One record waits for so many that are written.
+const WAITING: usize = 64;
+/// Most records that wait.
+const MOST_WAITING: usize = 16_384;
 /// Longest wait for rerun's file at the end.
 const FLUSH_TIMEOUT: Duration = Duration::from_secs(30);
 
@@ -53,8 +58,15 @@ pub(super) fn builder(start: &StartDocument, truth: bool) -> RecordingStreamBuil
 }
 
 /// `run.rrd` while it is written.
+///
+/// rerun keeps something in memory for every chunk until the file's end, so the chunks grow with the run: one record
+/// waits here for every [`WAITING`] that are written. A day takes some thousand chunks, not millions; a kill costs
+/// what waits, here and not of the samples.
 pub struct RerunFile {
     sink: RerunSink,
+    waiting: Vec<RecordBatch>,
+    rows_waiting: usize,
+    rows_written: usize,
 }
 
 impl RerunFile {
@@ -64,22 +76,35 @@ impl RerunFile {
     /// Where the file cannot be created.
     pub fn create(folder: &Path, start: &StartDocument, truth: bool) -> Result<Self> {
         let stream = builder(start, truth).save(folder.join(RRD_NAME))?;
-        Ok(Self { sink: RerunSink::new(stream, start, truth)? })
+        let sink = RerunSink::new(stream, start, truth)?;
+        Ok(Self { sink, waiting: Vec::new(), rows_waiting: 0, rows_written: 0 })
     }
 
     /// Appends `batch`.
     ///
     /// # Errors
     /// Where rerun refuses it.
-    pub fn send(&mut self, batch: &RecordBatch) -> Result<()> {
-        self.sink.send(batch)
+    pub fn send(&mut self, batch: RecordBatch) -> Result<()> {
+        self.rows_waiting += batch.num_rows();
+        self.waiting.push(batch);
+        if self.rows_waiting >= (self.rows_written / WAITING).min(MOST_WAITING) { self.write() } else { Ok(()) }
+    }
+
+    fn write(&mut self) -> Result<()> {
+        let Some(first) = self.waiting.first() else { return Ok(()) };
+        let all = concat_batches(&first.schema(), &self.waiting).map_err(|e| RecordError::Rerun(e.to_string()))?;
+        self.waiting.clear();
+        self.rows_waiting = 0;
+        self.rows_written += all.num_rows();
+        self.sink.send(&all)
     }
 
     /// Writes everything out.
     ///
     /// # Errors
     /// Where that does not succeed (the disk is full).
-    pub fn finish(self) -> Result<()> {
+    pub fn finish(mut self) -> Result<()> {
+        self.write()?;
         self.sink.stream.flush_with_timeout(FLUSH_TIMEOUT).map_err(|e| RecordError::Rerun(e.to_string()))
     }
 }

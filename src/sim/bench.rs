@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::ModuleSim;
+use super::{KnobSim, ModuleSim};
 use crate::model::Free;
 
 /// The whole simulated rig.
@@ -33,6 +33,8 @@ pub struct PlantSim {
     pub hysteresis: f64,
     /// Constant external moment on the end, N m.
     pub load_moment: f64,
+    /// The knob on the end, where there is one.
+    pub knob: Option<KnobSim>,
     /// Its regulator.
     pub regulator: RegulatorSim,
     /// What stands between a DAC and its regulator; none of one that takes its set-point as a number.

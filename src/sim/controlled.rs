@@ -75,6 +75,7 @@ pub fn plant(nominal: Free, scatter: f64, seed: u64) -> BenchConfig {
             scatter,
             hysteresis: 0.05,
             load_moment: 0.0,
+            knob: None,
             regulator: RegulatorSim {
                 lag: Duration::from_millis(60),
                 dead_time: Duration::from_millis(15),

@@ -328,6 +328,9 @@ impl Branch {
         let friction = loop_friction(&free, sim.load_moment, sim.hysteresis).rested(free.direction());
         let mut tip = Tip::new(free, friction, sim.load_moment);
         tip.settle();
+        if let Some(knob) = sim.knob {
+            tip.mount(knob);
+        }
         let mut branch = Self {
             tip,
             regulator: Regulator::new(sim.regulator),

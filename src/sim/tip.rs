@@ -2,6 +2,7 @@
 //! gravity, an external moment and force, Maxwell-slip friction, and hard stops where the model's domain would end.
 
 use super::hysteresis::MaxwellSlip;
+use super::knob::{KnobSim, Rubbing};
 use crate::model::{Free, GRAVITY, Kinematics};
 use crate::units::PASCAL_PER_PSI;
 
@@ -19,7 +20,8 @@ const RATE_STEP: f64 = 1.0;
 pub enum HardStop {
     /// The FREE is stretched until its fibres nearly lie along the axis, or squeezed to half its length.
     Extension,
-    /// The fibres are unwound to 55 % of their turns (the tube would grow without limit) or wound up to 200 %.
+    /// The fibres are unwound to 55 % of their turns (the tube would grow without limit) or wound up to 200 %; or the
+    /// knob on the end is at the end of its travel.
     Rotation,
 }
 
@@ -39,6 +41,7 @@ pub struct Tip {
     pub grip: Option<f64>,
     /// Inertia on the end beside the FREE's own, kg m2.
     pub added_inertia: f64,
+    knob: Option<KnobSim>,
     /// Range of the extension, m.
     extension_stops: (f64, f64),
     /// Range of the angle, rad.
@@ -60,11 +63,21 @@ impl Tip {
             pull: 0.0,
             grip: None,
             added_inertia: 0.0,
+            knob: None,
             extension_stops: (-0.5 * free.length, reach.min(0.5) * free.length),
             angle_stops: (a.min(b), a.max(b)),
             state: [0.0; 4],
             stop: None,
         }
+    }
+
+    /// Puts a knob on the end: off is here, and the other stop as far as its travel or the FREE's own stop goes.
+    pub fn mount(&mut self, knob: KnobSim) {
+        let (off, own) = (self.state[2], self.free.direction());
+        let (low, high) = self.angle_stops;
+        let end = (off + own * knob.travel).clamp(low, high);
+        self.angle_stops = (off.min(end), off.max(end));
+        self.knob = Some(knob);
     }
 
     /// Its parameters.
@@ -115,13 +128,21 @@ impl Tip {
 
     fn part(&mut self, pressure: f64, dt: f64) {
         let x = self.state;
+        let rubbing = self.rubbing(pressure);
         let add = |k: &State, h: f64| std::array::from_fn::<f64, 4, _>(|i| x[i] + h * k[i]);
-        let k1 = self.derivative(&x, pressure);
-        let k2 = self.derivative(&add(&k1, 0.5 * dt), pressure);
-        let k3 = self.derivative(&add(&k2, 0.5 * dt), pressure);
-        let k4 = self.derivative(&add(&k3, dt), pressure);
+        let k1 = self.derivative(&x, pressure, rubbing);
+        let k2 = self.derivative(&add(&k1, 0.5 * dt), pressure, rubbing);
+        let k3 = self.derivative(&add(&k2, 0.5 * dt), pressure, rubbing);
+        let k4 = self.derivative(&add(&k3, dt), pressure, rubbing);
         self.state = std::array::from_fn(|i| x[i] + dt / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]));
         let [s, v, angle, rate] = &mut self.state;
+        if let Rubbing::Slides(against) = rubbing
+            && against * *rate > 0.0
+        {
+            // It came to rest on the way, the rate taken as linear; what friction does next is decided from there.
+            let share = x[3] / (x[3] - *rate);
+            (*angle, *rate) = (x[2] + 0.5 * share * dt * x[3], 0.0);
+        }
         self.stop = None;
         if clip(s, v, self.extension_stops) {
             self.stop = Some(HardStop::Extension);
@@ -132,14 +153,25 @@ impl Tip {
         self.friction.advance(self.state[2]);
     }
 
-    fn derivative(&self, x: &State, pressure: f64) -> State {
+    /// What the knob's friction does in the state as it is.
+    fn rubbing(&self, pressure: f64) -> Rubbing {
+        let Some(knob) = &self.knob else { return Rubbing::Slides(0.0) };
+        let [s, _, angle, rate] = self.state;
+        knob.rubbing(rate, self.balance(s, angle, pressure).1 + self.grip.unwrap_or(0.0))
+    }
+
+    fn derivative(&self, x: &State, pressure: f64, rubbing: Rubbing) -> State {
         let [s, v, angle, rate] = *x;
         let (force, moment) = self.balance(s, angle, pressure);
         let f = &self.free;
         let inertia = f.inertia + self.added_inertia;
         // Flesh damps what it holds: about critically.
         let grip = self.grip.map_or(0.0, |moment| moment - 2.0 * (f.torsional_stiffness * inertia).sqrt() * rate);
-        [v, (force - f.axial_damping * v) / f.mass, rate, (moment + grip - f.torsional_damping * rate) / inertia]
+        let [turn, spin] = match rubbing {
+            Rubbing::Held => [0.0, 0.0],
+            Rubbing::Slides(against) => [rate, (moment + grip + against - f.torsional_damping * rate) / inertia],
+        };
+        [v, (force - f.axial_damping * v) / f.mass, turn, spin]
     }
 
     /// Force (N) and moment (N m) on the end at rest at (`s`, `angle`); positions are taken within the stops, which
@@ -149,9 +181,10 @@ impl Tip {
         let s = s.clamp(self.extension_stops.0, self.extension_stops.1);
         let angle = angle.clamp(self.angle_stops.0, self.angle_stops.1);
         let actuation = Kinematics::Exact.actuation(f, s, angle).map_or((0.0, 0.0), |a| (a.force, a.moment));
+        let preload = self.knob.map_or(0.0, |knob| f.direction() * knob.preload);
         (
             actuation.0 * pressure - f.axial_stiffness * s + f.mass * GRAVITY + self.pull,
-            actuation.1 * pressure - f.torsional_stiffness * angle + self.load + self.friction.moment(angle),
+            actuation.1 * pressure - f.torsional_stiffness * angle + self.load - preload + self.friction.moment(angle),
         )
     }
 

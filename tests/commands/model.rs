@@ -124,3 +124,60 @@ fn designs_are_swept_and_the_best_are_named_beside_the_papers() {
     let text = String::from_utf8_lossy(&wrong.stderr);
     assert!(wrong.status.code() == Some(2) && text.contains("gamma, wall"), "{text}");
 }
+
+#[test]
+fn a_study_is_shared_killed_resumed_and_merged() {
+    let folder = place();
+    let at = |pressure: &str, more: &[&str]| {
+        let flags = [
+            "plan",
+            "design",
+            "--json",
+            "--study",
+            "study",
+            "--pressure",
+            pressure,
+            "--tolerance",
+            "2%",
+            "--sweep",
+            "gamma=40deg..60deg:3",
+            "--sweep",
+            "wall=0.7mm..0.9mm:3",
+            "--sweep",
+            "fibers=5..7",
+        ];
+        freerig(folder.path(), &[&flags[..], &FREE[4..], more].concat())
+    };
+    let question = |more: &[&str]| at("4psi", more);
+    // 27 designs are two pieces: one for each of two shares.
+    let first = json(&question(&["--shard", "1/2"]));
+    assert_eq!((&first["computed_now"], &first["missing"]), (&16.into(), &1.into()));
+    assert!(first["parquet"].is_null() && first["best"].as_array().unwrap().is_empty());
+    let again = json(&question(&["--shard", "1/2"]));
+    assert_eq!(again["computed_now"], 0, "what is there is not computed again");
+    let piece = folder.path().join("study/piece-00000.parquet");
+    let kept = std::fs::read(&piece).unwrap();
+    let merged = json(&question(&[]));
+    assert_eq!((&merged["computed_now"], &merged["missing"]), (&11.into(), &0.into()));
+    let best = merged["best"].as_array().unwrap();
+    assert_eq!(best.len(), 4);
+    // Thinner walls turn and stretch more, whatever the rest.
+    assert_eq!(best[0]["aim"], "rotation");
+    assert!((best[0]["values"][1].as_f64().unwrap() - 0.7e-3).abs() < 1e-9, "{best:?}");
+    let whole = std::fs::read(folder.path().join("study/designs.parquet")).unwrap();
+    assert!(std::fs::read_to_string(folder.path().join("study/report.html")).unwrap().contains("27 designs"));
+    // A piece that is gone or damaged is computed again, to the same bits.
+    std::fs::write(&piece, &kept[..kept.len() / 2]).unwrap();
+    let damaged = question(&[]);
+    assert_eq!(damaged.status.code(), Some(1));
+    let said = String::from_utf8_lossy(&damaged.stderr).into_owned();
+    assert!(said.contains("piece-00000.parquet") && said.contains("delete this file"), "{said}");
+    std::fs::remove_file(&piece).unwrap();
+    assert_eq!(json(&question(&[]))["computed_now"], 16);
+    assert_eq!(std::fs::read(&piece).unwrap(), kept);
+    assert_eq!(std::fs::read(folder.path().join("study/designs.parquet")).unwrap(), whole);
+    // Another question does not belong into this folder.
+    let other = at("5psi", &[]);
+    let said = String::from_utf8_lossy(&other.stderr).into_owned();
+    assert!(other.status.code() == Some(2) && said.contains("pressures_pa"), "{said}");
+}

@@ -177,7 +177,6 @@ fn what_cannot_be_answered_is_named_with_its_rule_and_its_remedy() {
         (module(&["--force", "1N,0N"]), &["2 of 3"]),
         (module(&["--gravity", "up"]), &["up", "hanging", "standing", "none"]),
         (module(&["--plate-mass", "-5g"]), &["-5 g", "must not be negative"]),
-        (module(&["--fidelity", "solid"]), &["solid", "whole module", "--fidelity rod"]),
         (module(&["--gamma", "30deg,60deg"]), &["30 deg, 60 deg", "one winding angle"]),
         (vec!["model", "module", "--pressures", "1psi,0psi,0psi"], &["3 of 4", "FILE.csv"]),
         (vec!["model", "module", "--pressures", "1psi,0psi,0psi,-1psi"], &["D is -1.000 psi", "begin at 0", "remedy"]),
@@ -298,4 +297,27 @@ fn the_workspace_is_fifteen_paths_beside_the_papers_figures() {
     assert!(recording.starts_with(b"RRF") && recording.len() > 10_000, "{}", recording.len());
     let name = |key: &str| Path::new(answer[key].as_str().unwrap()).file_name().unwrap().to_str().unwrap().to_owned();
     assert!(page.contains(&name("recording")));
+}
+
+#[test]
+fn the_solid_answers_what_the_rods_are_asked() {
+    let folder = place();
+    // All alike, one tube is solved for four.
+    let flags = ["--pressures", "2psi,2psi,2psi,2psi", "--gravity", "none"];
+    let fixed = ["model", "module", "--gamma", "30deg", "--fidelity", "solid", "--json"];
+    let solid = json(&freerig(folder.path(), &[&fixed, &MODULE[..], &flags].concat()));
+    let rods = model(folder.path(), "30deg", &flags);
+    assert_eq!((&solid["fidelity"], &rods["fidelity"]), (&"solid".into(), &"rod".into()));
+    let [solid_at, rods_at] = [&solid, &rods].map(|answer| numbers::<3>(&answer["position_m"]));
+    let travel = apart(rods_at, [0.0, 0.0, REST]);
+    // The bonded ends, two in a hundred of the length, do not shorten.
+    assert!(travel > 2e-3 && apart(solid_at, rods_at) < 0.05 * travel, "{solid_at:?} {rods_at:?}");
+    assert!(solid["stable"] == true && solid["negative_pivots"] == 0 && solid["limit"].is_null());
+    let error = solid["discretisation_error_estimate"].as_f64().unwrap();
+    assert!(error > 0.0 && error < 0.05, "{error}");
+    // Swollen tubes are nearer to one another than those at rest, 20 - 11.12 mm.
+    for answer in [&solid, &rods] {
+        let clearance = answer["least_clearance_m"].as_f64().unwrap();
+        assert!((8.0e-3..8.87e-3).contains(&clearance), "{clearance}");
+    }
 }

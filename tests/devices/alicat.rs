@@ -98,7 +98,15 @@ impl Bench {
         let regulator =
             RegulatorSim { lag: ms(60), dead_time: ms(20), slew: 100.0 * PSI, noise: 0.0, full_scale: 15.0 * PSI };
         let nominal = Free::published_code();
-        let sim = PlantSim { nominal, scatter: 0.0, hysteresis: 0.0, load_moment: 0.0, regulator, analogue: None };
+        let sim = PlantSim {
+            nominal,
+            scatter: 0.0,
+            hysteresis: 0.0,
+            load_moment: 0.0,
+            knob: None,
+            regulator,
+            analogue: None,
+        };
         let imu = ImuSim { delay: Duration::ZERO, noise: 0.0, rate_noise: 0.0 };
         let config =
             BenchConfig { seed: 1, plants: vec![sim; units], module: None, imu, dump_valve: false, one_shot: false };

@@ -20,6 +20,7 @@ fn sim() -> PlantSim {
         scatter: 0.0,
         hysteresis: 0.0,
         load_moment: 0.0,
+        knob: None,
         regulator: RegulatorSim {
             lag: Duration::from_millis(60),
             dead_time: Duration::from_millis(20),

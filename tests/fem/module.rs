@@ -118,14 +118,14 @@ fn case_1_buckles_in_two_modes_where_the_torque_is_two_pi_ei_over_l() {
     let s = section(60.0);
     let torque = |p: f64| (p * (s.actuation.y - s.stiffness[(0, 1)] * s.actuation.x / s.stiffness[(0, 0)])).abs();
     let pressure = 10.0 * PSI * critical.mu;
-    let unit = 2.0 * PI * bending(60.0).at(pressure) / LENGTH;
+    let unit = 2.0 * PI * bending(60.0).at([1.0, 0.0, pressure]) / LENGTH;
     assert!((torque(pressure) / unit - 1.0).abs() < 1e-3, "{} {}", torque(pressure), unit);
     // The usual resolution finds it to 1 % of the torque.
     let usual = m.with_resolution(Resolution::DEFAULT).unwrap();
     let rest = usual.equilibrium(&case(1, 0.0)).unwrap();
     let found = Path::new(&usual, &rest, &case(1, 10.0), 0.05).unwrap().next_critical((-0.01, 1.0)).unwrap().unwrap();
     let pressure = 10.0 * PSI * found.mu;
-    let unit = 2.0 * PI * bending(60.0).at(pressure) / LENGTH;
+    let unit = 2.0 * PI * bending(60.0).at([1.0, 0.0, pressure]) / LENGTH;
     assert!((torque(pressure) / unit - 1.0).abs() < 0.012, "{}", torque(pressure) / unit);
     // The path's own state has no sideways motion, so nothing but the inertia tells: K's determinant is positive on
     // both sides.

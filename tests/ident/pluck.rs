@@ -40,7 +40,15 @@ fn record(nominal: Free, seed: u64, hysteresis: f64, angle: f64, added: f64) -> 
     let (delay, noise, rate_noise) = (Duration::from_millis(15), 0.05f64.to_radians(), 0.1f64.to_radians());
     let mut plant = Plant::new(&BenchConfig {
         seed,
-        plants: vec![PlantSim { nominal, scatter: 0.03, hysteresis, load_moment: 0.0, regulator, analogue: None }],
+        plants: vec![PlantSim {
+            nominal,
+            scatter: 0.03,
+            hysteresis,
+            load_moment: 0.0,
+            knob: None,
+            regulator,
+            analogue: None,
+        }],
         module: None,
         imu: ImuSim { delay, noise, rate_noise },
         dump_valve: true,

@@ -11,11 +11,10 @@ use serde::Serialize;
 use crate::cli::list::List;
 use crate::cli::scene::{SceneArgs, build};
 use crate::cli::table::{Table, number};
-use crate::cli::{Context, Failure};
+use crate::cli::{Context, Failure, Progress};
 use crate::config::pressure_rows;
-use crate::fem::fidelity::{rods_discretisation_error, rods_model_error};
+use crate::fem::fidelity::{FidelityError, rods_discretisation_error, rods_model_error, solid_answers};
 use crate::fem::module::{self, Answer, ModuleScene, NAMES};
-use crate::fem::section_law::Errors;
 use crate::units::{PASCAL_PER_PSI, Percent, Pressure};
 
 const EXAMPLES: &str = "\
@@ -101,7 +100,7 @@ struct Row {
     limit: Option<String>,
     /// Share of the row's loads, 0 to 1.
     limit_share: Option<f64>,
-    /// Of the position, by the rods' resolution alone.
+    /// Of the position, by the rods' resolution or the solid's coarser mesh alone.
     resolution_error_m: Option<f64>,
     discretisation_error_estimate: Option<f64>,
     model_error_estimate: Option<f64>,
@@ -115,19 +114,19 @@ struct Rows {
     rows: Vec<Row>,
 }
 
-/// What holds for all rows.
-struct Estimates {
+/// The answers and what holds for all of them.
+struct Found {
+    fidelity: &'static str,
+    answers: Vec<Answer>,
     discretisation: f64,
     model: Option<f64>,
-    law: Errors,
+    /// More of the errors, a line each.
+    notes: Vec<String>,
     reason: Option<String>,
 }
 
 /// Asks the model and prints what it says.
 pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
-    if args.fidelity == Fidelity::Solid {
-        return Err(no_solid(anyhow!("--fidelity solid: there is no solid of a whole module, only of a single FREE")));
-    }
     let scene = args.scene.scene(context)?;
     let rows = match &args.pressures {
         Pressures::Row(row) => vec![*row],
@@ -135,24 +134,94 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     };
     let highest = checked(&rows)?;
     let begun = Instant::now();
-    let built = build(&scene, highest, context)?;
-    let answers = module::answer(&scene, &built.module, &rows);
-    let mut estimates = Estimates {
-        discretisation: rods_discretisation_error(&scene, &built.module.rest(), &built.law_errors, &answers),
-        model: None,
-        law: built.law_errors,
-        reason: None,
+    let found = match args.fidelity {
+        Fidelity::Rod => by_rods(&scene, &rows, highest, context)?,
+        Fidelity::Solid => by_solid(&scene, &rows, context)?,
+        Fidelity::Auto => by_either(&scene, &rows, highest, args.tolerance, context)?,
     };
-    if args.fidelity == Fidelity::Auto {
-        estimates.choose(&scene, highest, args.tolerance, context)?;
-    }
     let each = begun.elapsed().as_secs_f64() / rows.len() as f64;
-    let rows: Vec<Row> = answers.iter().map(|answer| estimates.row(answer, each)).collect();
+    let rows: Vec<Row> = found.answers.iter().map(|answer| found.row(answer, each)).collect();
     match (context.json, &args.pressures) {
         (true, Pressures::Row(_)) => context.print_json(&rows[0]),
         (true, Pressures::File(_)) => context.print_json(&Rows { rows }),
-        (false, _) => context.print(text(&rows, &scene, &estimates)),
+        (false, _) => context.print(text(&rows, &scene, &found)),
     }
+}
+
+fn by_rods(scene: &ModuleScene, rows: &[[f64; 4]], highest: f64, context: &Context) -> Result<Found, Failure> {
+    let built = build(scene, highest, context)?;
+    let answers = module::answer(scene, &built.module, rows);
+    let law = &built.law_errors;
+    Ok(Found {
+        fidelity: "rod",
+        discretisation: rods_discretisation_error(scene, &built.module.rest(), law, &answers),
+        answers,
+        model: None,
+        notes: vec![
+            format!("of it the section's mesh: {}", percent(Some(law.mesh))),
+            format!(
+                "bending stiffness, interpolated over stretch, twist and pressure: up to {} off",
+                percent(Some(law.bending))
+            ),
+        ],
+        reason: None,
+    })
+}
+
+fn by_solid(scene: &ModuleScene, rows: &[[f64; 4]], context: &Context) -> Result<Found, Failure> {
+    context.note("solid of the whole module, on two meshes: a minute or so a row, less where it is symmetric");
+    let mut progress = Progress::new("solid", 100.0, "%");
+    let found = solid_answers(scene, rows, &mut |share| progress.set(100.0 * share, ""));
+    drop(progress);
+    let found = found.map_err(|error| match error {
+        FidelityError::Solid(_) | FidelityError::Section(_) => {
+            Failure::failed(error).remedy("ask for lower pressures, or for `--fidelity rod`")
+        }
+        error => Failure::usage(error).remedy("ask for `--fidelity rod`, whose error estimates say what it is worth"),
+    })?;
+    Ok(Found {
+        fidelity: "solid",
+        answers: found.answers,
+        discretisation: found.discretisation_error,
+        model: None,
+        notes: Vec::new(),
+        reason: None,
+    })
+}
+
+/// Rods, or the solid where they are not good enough.
+fn by_either(
+    scene: &ModuleScene,
+    rows: &[[f64; 4]],
+    highest: f64,
+    tolerance: Percent,
+    context: &Context,
+) -> Result<Found, Failure> {
+    let mut rods = by_rods(scene, rows, highest, context)?;
+    if highest > 0.0 {
+        context.note("estimating what the FREEs' ends are worth, by a coarse solid of one: some seconds");
+        let remedy = "ask for `--fidelity rod`, which does not look at the ends";
+        rods.model = rods_model_error(scene, highest).map_err(|error| Failure::failed(error).remedy(remedy))?;
+    }
+    let estimate = rods.discretisation + rods.model.unwrap_or(0.0);
+    let of_rods = format!(
+        "estimated error: rod {} (discretisation {}, ends {})",
+        percent(Some(estimate)),
+        percent(Some(rods.discretisation)),
+        percent(rods.model)
+    );
+    if estimate <= tolerance.si() {
+        rods.reason = Some(format!("the cheapest within {tolerance}; {of_rods}"));
+        return Ok(rods);
+    }
+    let mut solid = by_solid(scene, rows, context)?;
+    if solid.discretisation.is_nan() || solid.discretisation > tolerance.si() {
+        let solid = percent(Some(solid.discretisation));
+        let error = anyhow!("{of_rods}, solid {solid}: none is within --tolerance {tolerance}");
+        return Err(Failure::failed(error).remedy("give a larger --tolerance, or ask for one by --fidelity"));
+    }
+    solid.reason = Some(format!("the cheapest within {tolerance}; {of_rods}"));
+    Ok(solid)
 }
 
 /// The highest of all pressures, Pa.
@@ -170,44 +239,7 @@ fn checked(rows: &[[f64; 4]]) -> Result<f64, Failure> {
     Ok(rows.iter().flatten().copied().fold(0.0, f64::max))
 }
 
-fn no_solid(error: anyhow::Error) -> Failure {
-    Failure::usage(error).remedy(
-        "ask for `--fidelity rod`, whose error estimates say what it is worth, \
-         or for one FREE with `freerig model single --fidelity solid`",
-    )
-}
-
-impl Estimates {
-    /// Whether the rods are good enough.
-    fn choose(
-        &mut self,
-        scene: &ModuleScene,
-        highest: f64,
-        tolerance: Percent,
-        context: &Context,
-    ) -> Result<(), Failure> {
-        if highest > 0.0 {
-            context.note("estimating what the FREEs' ends are worth, by a coarse solid of one: some seconds");
-            let remedy = "ask for `--fidelity rod`, which does not look at the ends";
-            self.model = rods_model_error(scene, highest).map_err(|error| Failure::failed(error).remedy(remedy))?;
-        }
-        let model = self.model.unwrap_or(0.0);
-        let estimate = self.discretisation + model;
-        if estimate.is_nan() || estimate > tolerance.si() {
-            let error = anyhow!(
-                "the rods' estimated error, {} (discretisation {}, ends {}), is above --tolerance {tolerance}, and there \
-                 is no solid of a whole module",
-                percent(Some(estimate)),
-                percent(Some(self.discretisation)),
-                percent(self.model),
-            );
-            return Err(Failure::failed(error).remedy("give a larger --tolerance, or ask for `--fidelity rod`"));
-        }
-        self.reason =
-            Some(format!("the cheapest within {tolerance}; estimated error: rod {}", percent(Some(estimate))));
-        Ok(())
-    }
-
+impl Found {
     fn row(&self, answer: &Answer, wall_time_s: f64) -> Row {
         let pose = answer.pose.as_ref();
         let resultants = pose.map(|pose| {
@@ -220,7 +252,7 @@ impl Estimates {
         });
         let clearance = pose.and_then(|pose| pose.least_clearance);
         Row {
-            fidelity: "rod",
+            fidelity: self.fidelity,
             pressures_pa: answer.pressures,
             position_m: pose.map(|pose| pose.position.into()),
             quaternion_wxyz: pose.map(|pose| {
@@ -258,7 +290,7 @@ fn turn_and_tilt([w, x, y, z]: [f64; 4]) -> (f64, f64) {
     ((2.0 * z.atan2(w)).to_degrees(), tilt.to_degrees())
 }
 
-fn text(rows: &[Row], scene: &ModuleScene, estimates: &Estimates) -> String {
+fn text(rows: &[Row], scene: &ModuleScene, found: &Found) -> String {
     let mut table = Table::new(&[
         ">A psi",
         ">B psi",
@@ -294,7 +326,7 @@ fn text(rows: &[Row], scene: &ModuleScene, estimates: &Estimates) -> String {
         ];
         table.row(pressures.into_iter().chain(rest));
     }
-    let mut text = format!("rod model\n\n{table}\n");
+    let mut text = format!("{} model\n\n{table}\n", found.fidelity);
     if let [Row { resultants: Some(resultants), .. }] = rows {
         let mut table = Table::new(&["on the plate", ">Fx N", ">Fy N", ">Fz N", ">Mx mN m", ">My mN m", ">Mz mN m"]);
         for Resultant { free, force_n, moment_nm } in resultants {
@@ -311,7 +343,6 @@ fn text(rows: &[Row], scene: &ModuleScene, estimates: &Estimates) -> String {
         }
     }
     let tube = &scene.frees[0].tube;
-    let law = &estimates.law;
     text += &format!(
         "\nmodule: FREEs of {:.2} deg, {:.1} mm long, {:.1} mm apart, {}; plate {:.1} g",
         tube.gamma.abs().to_degrees(),
@@ -320,15 +351,14 @@ fn text(rows: &[Row], scene: &ModuleScene, estimates: &Estimates) -> String {
         scene.frees.map(|free| if free.tube.gamma > 0.0 { "R" } else { "L" }).concat(),
         1e3 * scene.plate_mass,
     );
-    text += &format!(
-        "\ndiscretisation error, estimated: {} (of it the section's mesh {})",
-        percent(Some(estimates.discretisation)),
-        percent(Some(law.mesh)),
-    );
-    text += &format!("\nmodel error, estimated: {} (the FREEs' ends)", percent(estimates.model));
-    let bending = percent(Some(law.bending));
-    text += &format!("\nbending stiffness of a turned FREE taken from one at rest in its turn: differs by {bending}");
-    if let Some(reason) = &estimates.reason {
+    text += &format!("\ndiscretisation error, estimated: {}", percent(Some(found.discretisation)));
+    for note in &found.notes {
+        text += &format!("\n{note}");
+    }
+    if found.fidelity == "rod" {
+        text += &format!("\nmodel error, estimated: {} (the FREEs' ends)", percent(found.model));
+    }
+    if let Some(reason) = &found.reason {
         text += &format!("\nwhy this model: {reason}");
     }
     text

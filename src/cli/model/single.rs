@@ -11,6 +11,7 @@ use crate::cli::tube::TubeArgs;
 use crate::cli::{Context, Failure, Progress};
 use crate::config::Rig;
 use crate::fem::fidelity::{self, Answer, Considered, FidelityError, Hold, Scene};
+use crate::fem::section::folds;
 use crate::record::model_sheet;
 use crate::units::{Force, Length, Percent, Pressure};
 
@@ -158,6 +159,9 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
                 .to_owned(),
         );
     }
+    if let Some(beyond) = answer.folds_beyond {
+        remarks.push(fold(&scene, beyond)?);
+    }
     let mut report = Report {
         fidelity: answer.fidelity.name(),
         points: answer.points.iter().map(point).collect(),
@@ -175,6 +179,23 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         report.report = Some(draw(&scene, &answer, &report, context)?);
     }
     if context.json { context.print_json(&report) } else { context.print(report.text(&scene)) }
+}
+
+/// Where the rubber folds at the strip's end, which is one of the mesh: the range over the meshes that were tried.
+fn fold(scene: &Scene, beyond: f64) -> Result<String, Failure> {
+    let most = scene.pressures.iter().copied().fold(0.0, |most: f64, p| if p.abs() > most.abs() { p } else { most });
+    let meshes = ["blunt", "default", "fine"].into_iter().zip(folds(&scene.tube, scene.hold.ends(), most)?);
+    let told = meshes.map(|(name, (_, limit))| match limit {
+        Some(limit) => format!("at {:.2} on the {name} mesh", Pressure::pascals(limit.pressure)),
+        None => format!("not up to {:.2} on the {name} one", Pressure::pascals(most)),
+    });
+    Ok(format!(
+        "beyond {:.2} the rubber folds at the edge of the fibre's strip on some meshes and not on others ({}): the pressure \
+         of the fold is a property of the mesh. States there are those of a mesh that has not folded; the error estimate \
+         covers the spread over the meshes and the 1 % of load that a fold may take",
+        Pressure::pascals(beyond),
+        told.collect::<Vec<_>>().join(", ")
+    ))
 }
 
 type Asked = (Answer, Option<f64>, Option<String>, Vec<Considered>);

@@ -9,6 +9,8 @@ use std::time::Instant;
 use anyhow::{Context as _, anyhow};
 use serde::Serialize;
 
+use super::study::{self, Shard};
+use super::sweep::{Parameter, Sweep, combinations};
 use crate::cli::table::{Table, number};
 use crate::cli::tube::TubeArgs;
 use crate::cli::{Context, Failure, Progress};
@@ -16,8 +18,9 @@ use crate::config::Rig;
 use crate::fem::ends::Equilibrium;
 use crate::fem::tube::Tube;
 use crate::plan::design::{Aim, Design, best, designs, neutral};
+use crate::plan::study::{Candidate, Question};
 use crate::record::design_sheet;
-use crate::units::{Angle, Length, Percent, Pressure};
+use crate::units::{Length, Percent, Pressure};
 
 /// What the paper finds at 175 mm in its Fig. 8, in degrees of winding angle.
 const PAPER: [(Aim, f64); 4] = [(Aim::Rotation, 50.0), (Aim::Extension, 80.0), (Aim::Force, 20.0), (Aim::Moment, 30.0)];
@@ -27,7 +30,10 @@ Examples:
   freerig plan design                                  the paper's Fig. 8: 10 to 80 deg, 0 to 7 psi, 175 mm
   freerig plan design --sweep gamma=20deg..70deg --count 26 --csv design.csv
   freerig plan design --sweep wall=0.5mm..1.5mm --gamma -40deg --length 130mm
-  freerig plan design --sweep mu=0.2MPa..0.8MPa --pressure 5psi";
+  freerig plan design --sweep mu=0.2MPa..0.8MPa --pressure 5psi
+  freerig plan design --study study --sweep gamma=10deg..80deg:71 --sweep wall=0.5mm..1.5mm:11 --sweep fibers=4..12
+  freerig plan design --study study ... --shard 2/16    one share of sixteen; without --shard: what is missing, and all
+                                                        in one file (experiments/design/study.sbatch is a job array)";
 
 /// What `freerig plan design` takes.
 #[derive(Debug, clap::Args)]
@@ -35,12 +41,18 @@ Examples:
 pub struct Args {
     #[command(flatten)]
     tube: TubeArgs,
-    /// What is varied, from where to where: gamma, wall, inner-diameter, fiber-width or mu
-    #[arg(long, value_name = "NAME=FROM..TO", default_value = "gamma=10deg..80deg", allow_hyphen_values = true)]
-    sweep: Sweep,
-    /// How many designs
-    #[arg(long, value_name = "N", default_value_t = 15)]
-    count: usize,
+    /// What is varied, from where to where: gamma, wall, inner-diameter, fibers, fiber-width, fiber-ea, mu, alpha, or,
+    /// in a study, spacing; several in a study, which has every combination
+    #[arg(
+        long,
+        value_name = "NAME=FROM..TO[:COUNT]",
+        default_value = "gamma=10deg..80deg",
+        allow_hyphen_values = true
+    )]
+    sweep: Vec<Sweep>,
+    /// How many values of a sweep that does not say it
+    #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u16).range(2..=10_000))]
+    count: u16,
     /// Highest pressure; the curves go there in steps of a seventh
     #[arg(long, default_value = "7psi")]
     pressure: Pressure,
@@ -50,104 +62,19 @@ pub struct Args {
     /// Write every design and pressure to this file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
+    /// Compute a study in this folder: what is there of it stays, what is missing is computed, and when all is there it is
+    /// merged into designs.parquet
+    #[arg(long, value_name = "FOLDER", conflicts_with = "csv")]
+    study: Option<PathBuf>,
+    /// Compute only this share of the study, for example 2/16: for job arrays
+    #[arg(long, value_name = "I/N", requires = "study")]
+    shard: Option<Shard>,
 }
 
 /// Steps of a curve.
 const STEPS: usize = 7;
-/// Most designs of one call.
-const COUNTS: std::ops::RangeInclusive<usize> = 2..=10_000;
 /// Length of the paper's Fig. 8, m.
 const PAPER_LENGTH: f64 = 0.175;
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Parameter {
-    Gamma,
-    Wall,
-    InnerDiameter,
-    FiberWidth,
-    Mu,
-}
-
-impl Parameter {
-    const ALL: [(Parameter, &'static str, &'static str); 5] = [
-        (Parameter::Gamma, "gamma", "deg"),
-        (Parameter::Wall, "wall", "mm"),
-        (Parameter::InnerDiameter, "inner-diameter", "mm"),
-        (Parameter::FiberWidth, "fiber-width", "mm"),
-        (Parameter::Mu, "mu", "MPa"),
-    ];
-
-    fn parse(self, text: &str) -> Result<f64, String> {
-        match self {
-            Parameter::Gamma => text.parse::<Angle>().map(Angle::si),
-            Parameter::Mu => text.parse::<Pressure>().map(Pressure::si),
-            Parameter::Wall | Parameter::InnerDiameter | Parameter::FiberWidth => {
-                text.parse::<Length>().map(Length::si)
-            }
-        }
-        .map_err(|error| error.to_string())
-    }
-
-    fn name(self) -> &'static str {
-        Self::ALL.iter().find(|p| p.0 == self).map_or("", |p| p.1)
-    }
-
-    fn unit(self) -> &'static str {
-        Self::ALL.iter().find(|p| p.0 == self).map_or("", |p| p.2)
-    }
-
-    /// `value` (SI) in the unit that it is shown in.
-    fn shown(self, value: f64) -> f64 {
-        match self {
-            Parameter::Gamma => value.to_degrees(),
-            Parameter::Mu => 1e-6 * value,
-            Parameter::Wall | Parameter::InnerDiameter | Parameter::FiberWidth => 1e3 * value,
-        }
-    }
-
-    fn set(self, tube: &Tube, value: f64) -> Tube {
-        match self {
-            Parameter::Gamma => Tube { gamma: value, ..*tube },
-            Parameter::Wall => Tube { wall: value, ..*tube },
-            Parameter::InnerDiameter => Tube { inner_radius: 0.5 * value, ..*tube },
-            Parameter::FiberWidth => Tube { fiber_width: value, ..*tube },
-            Parameter::Mu => Tube { law: tube.law.with_shear_modulus(value), ..*tube },
-        }
-    }
-
-    fn get(self, tube: &Tube) -> f64 {
-        match self {
-            Parameter::Gamma => tube.gamma,
-            Parameter::Wall => tube.wall,
-            Parameter::InnerDiameter => 2.0 * tube.inner_radius,
-            Parameter::FiberWidth => tube.fiber_width,
-            Parameter::Mu => tube.law.shear_modulus(),
-        }
-    }
-}
-
-/// `gamma=10deg..80deg`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Sweep {
-    parameter: Parameter,
-    from: f64,
-    to: f64,
-}
-
-impl std::str::FromStr for Sweep {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let form = || format!("`{text}` is no sweep; write NAME=FROM..TO, for example gamma=10deg..80deg");
-        let (name, range) = text.split_once('=').ok_or_else(form)?;
-        let (from, to) = range.split_once("..").ok_or_else(form)?;
-        let names = || Parameter::ALL.map(|p| p.1).join(", ");
-        let known = Parameter::ALL.iter().find(|p| p.1 == name);
-        let (parameter, ..) = *known.ok_or_else(|| format!("`{name}` cannot be swept; one of: {}", names()))?;
-        let sweep = Sweep { parameter, from: parameter.parse(from)?, to: parameter.parse(to)? };
-        if sweep.from == sweep.to { Err(format!("`{text}` goes nowhere: FROM and TO must differ")) } else { Ok(sweep) }
-    }
-}
 
 #[derive(Debug, Serialize)]
 struct Row {
@@ -194,17 +121,26 @@ struct Report {
 pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     let (tube, length) = args.tube.tube(context)?;
     let length = if args.tube.has_length() { length } else { PAPER_LENGTH };
-    if !COUNTS.contains(&args.count) {
-        let (least, most) = (COUNTS.start(), COUNTS.end());
-        return Err(Failure::usage(anyhow!("--count {} must be between {least} and {most}", args.count)));
-    }
     if args.pressure.si() <= 0.0 {
         return Err(Failure::usage(anyhow!("--pressure {:.3} must be positive", args.pressure)));
     }
-    let Sweep { parameter, from, to } = args.sweep;
-    let value = |i: usize| from + (to - from) * i as f64 / (args.count - 1) as f64;
-    let tubes: Vec<Tube> = (0..args.count).map(|i| parameter.set(&tube, value(i))).collect();
     let pressures: Vec<f64> = (0..=STEPS).map(|i| args.pressure.si() * i as f64 / STEPS as f64).collect();
+    let base = Candidate { tube, spacing: None };
+    let told = |error: String| Failure::usage(anyhow!(error));
+    let candidates = combinations(base, &args.sweep, args.count.into()).map_err(told)?;
+    if let Some(folder) = &args.study {
+        let question = Question { length, pressures, tolerance: args.tolerance.si() };
+        return study::run(folder, args.shard, &args.sweep, &candidates, &question, context);
+    }
+    let &[Sweep { parameter, .. }] = args.sweep.as_slice() else {
+        let error = anyhow!("{} sweeps at once are a study", args.sweep.len());
+        return Err(Failure::usage(error).remedy("name its folder: `--study FOLDER`"));
+    };
+    if parameter == Parameter::Spacing {
+        let error = anyhow!("the spacing belongs to a module, and one FREE is asked here");
+        return Err(Failure::usage(error).remedy("ask a study: `--study FOLDER`"));
+    }
+    let tubes: Vec<Tube> = candidates.iter().map(|candidate| candidate.tube).collect();
     let begun = Instant::now();
     let progress = Mutex::new((0.0, Progress::new("designs", args.count as f64, "designs")));
     let computed = designs(&tubes, &pressures, args.tolerance.si(), || {
@@ -222,7 +158,7 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         let found = best(&computed, aim, last);
         Best {
             aim: aim.name(),
-            value: found.map(|d| parameter.get(&d.tube)),
+            value: found.map(|d| value_of(parameter, d)),
             reached: found.and_then(|d| aim.of(d, last)),
             paper: in_paper.then_some(paper.to_radians()),
         }
@@ -230,10 +166,10 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     let rig = Rig::load(&context.rig)?;
     std::fs::create_dir_all(&rig.record.directory)?;
     let page = rig.record.directory.join(format!("design-{}.html", parameter.name()));
-    let values: Vec<f64> = computed.iter().map(|d| parameter.shown(parameter.get(&d.tube))).collect();
-    let axis = format!("{} ({})", parameter.name(), parameter.unit());
+    let values: Vec<f64> = computed.iter().map(|d| parameter.shown(value_of(parameter, d))).collect();
+    let axis = parameter.label();
     let ended = |of: fn(&Design) -> &Vec<Option<Equilibrium>>| -> Vec<f64> {
-        computed.iter().filter(|d| of(d)[last].is_none()).map(|d| parameter.get(&d.tube)).collect()
+        computed.iter().filter(|d| of(d)[last].is_none()).map(|d| value_of(parameter, d)).collect()
     };
     let mut report = Report {
         free_ended: ended(|d| &d.free),
@@ -242,7 +178,7 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         length_m: length,
         pressure_pa: args.pressure.si(),
         best: best.collect(),
-        neutral: neutral(&computed, last, |d| parameter.get(&d.tube)),
+        neutral: neutral(&computed, last, |d| value_of(parameter, d)),
         paper_neutral: in_paper.then_some(54.7356f64.to_radians()),
         discretisation_error_estimate: computed.iter().map(|d| d.error).fold(0.0, f64::max),
         rows: rows(&computed, parameter, &pressures),
@@ -262,9 +198,13 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     context.print(report.text(parameter))
 }
 
+fn value_of(parameter: Parameter, design: &Design) -> f64 {
+    parameter.get(&Candidate { tube: design.tube, spacing: None })
+}
+
 fn rows(designs: &[Design], parameter: Parameter, pressures: &[f64]) -> Vec<Row> {
     let of = |design: &Design, i: usize| Row {
-        value: parameter.get(&design.tube),
+        value: value_of(parameter, design),
         pressure_pa: pressures[i],
         twist_rad_per_m: design.free[i].map(|e| e.twist),
         axial_stretch: design.free[i].map(|e| e.stretch),
@@ -277,7 +217,8 @@ fn rows(designs: &[Design], parameter: Parameter, pressures: &[f64]) -> Vec<Row>
 fn write_csv(path: &std::path::Path, report: &Report, parameter: Parameter) -> std::io::Result<()> {
     let mut file = std::io::BufWriter::new(std::fs::File::create(path)?);
     let (name, unit) = (parameter.name().replace('-', "_"), parameter.unit());
-    writeln!(file, "{name}_{},pressure_pa,twist_rad_per_m,axial_stretch,force_n,moment_nm", unit.to_lowercase())?;
+    let unit = if unit.is_empty() { String::new() } else { format!("_{}", unit.to_lowercase()) };
+    writeln!(file, "{name}{unit},pressure_pa,twist_rad_per_m,axial_stretch,force_n,moment_nm")?;
     let cell = |value: Option<f64>| value.map_or(String::new(), |v| format!("{v:e}"));
     for row in &report.rows {
         let cells = [row.twist_rad_per_m, row.axial_stretch, row.force_n, row.moment_nm].map(cell);

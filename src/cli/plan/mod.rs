@@ -3,6 +3,8 @@
 mod design;
 mod inverse;
 mod path;
+mod study;
+mod sweep;
 mod whisk;
 mod workspace;
 

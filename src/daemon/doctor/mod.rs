@@ -93,7 +93,7 @@ pub fn examine(rig: &Result<Rig, ConfigError>, treatment: Treatment, tell: &mut 
     let Some(rig) = rig else { return };
     files::look(rig, tell);
     // While a daemon lives, the buses are its own; nor may one start while they are looked at.
-    match RigLock::take(&rig.socket.path, Duration::ZERO) {
+    match RigLock::take(rig, Duration::ZERO) {
         Ok(_lock) => devices::look(rig, treatment, &Clock::Live, tell),
         Err(DaemonError::Owned(_)) => {
             tell(Finding::ok(

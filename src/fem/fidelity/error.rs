@@ -33,6 +33,9 @@ pub enum FidelityError {
     /// The solid.
     #[error(transparent)]
     Solid(#[from] SolidError),
+    /// What the solid of a module does not have.
+    #[error("the solid of a module does not take {0}; rods do")]
+    Module(&'static str),
     /// Tolerance out of range.
     #[error("tolerance {0}: must be between 0.0005 and 0.5 (0.05 % to 50 %)")]
     Tolerance(f64),

@@ -25,7 +25,7 @@ mod tiers;
 
 pub use choice::{Choice, Considered, choose};
 pub use error::FidelityError;
-pub use module::{rods_discretisation_error, rods_model_error};
+pub use module::{SolidAnswers, dead_length, module_mesh, rods_discretisation_error, rods_model_error, solid_answers};
 pub use tiers::{ask, model_error};
 
 use super::ends::Ends;
@@ -137,6 +137,9 @@ pub struct Answer {
     pub limit: Option<Limit>,
     /// Estimated relative error of the tier's discretisation.
     pub discretisation_error: f64,
+    /// Pressure, Pa, beyond which some meshes of the section have folded at the strip's end and others have not
+    /// ([`crate::fem::section::Curve::folds_beyond`]).
+    pub folds_beyond: Option<f64>,
     /// The sections from base to tip at the farthest pressure reached; none where the tier knows no ends.
     pub profile: Vec<Station>,
 }

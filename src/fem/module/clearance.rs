@@ -1,27 +1,49 @@
 //! The least distance between the surfaces of two rods.
 //!
 //! Centre lines are cubic Hermite curves through the ends of the Magnus steps, whose directions are known; the nearest
-//! pair of their chords is where a Gauss-Newton search on the curves begins.
+//! pair of their chords is where a Gauss-Newton search on the curves begins. Radii are those of the tubes as they are,
+//! swollen by the pressure: the wall keeps its volume about the cavity, whose cross-section the law knows.
+
+use std::f64::consts::PI;
 
 use nalgebra::{Matrix2, Vector2, Vector3};
 
 use super::newton::Solver;
 use super::state::Unknowns;
 use super::{Module, ModuleError};
-use crate::fem::rod::{Assembly, Basis};
+use crate::fem::rod::{Assembly, Basis, Rod};
 
 /// Corrections of the nearest pair; it is found to micrometres in two or three.
 const SEARCHES: usize = 8;
 
-/// A centre line: positions and directions (by the parameter from node to node) at the nodes.
-struct Centreline {
+/// A tube's centre line: positions, directions (by the parameter from node to node) and the tube's radius at the nodes.
+pub(crate) struct Centreline {
     points: Vec<Vector3<f64>>,
     slopes: Vec<Vector3<f64>>,
+    radii: Vec<f64>,
 }
 
 impl Centreline {
-    fn new(assembly: &Assembly, basis: &Basis, strains: &[f64], length: f64) -> Centreline {
-        let step = length / basis.steps as f64;
+    /// Through points, whose neighbours give the directions.
+    pub(crate) fn through(points: Vec<Vector3<f64>>, radii: Vec<f64>) -> Centreline {
+        let last = points.len() - 1;
+        let slope = |k: usize| match k {
+            0 => points[1] - points[0],
+            k if k == last => points[k] - points[k - 1],
+            k => (points[k + 1] - points[k - 1]) * 0.5,
+        };
+        Centreline { slopes: (0..=last).map(slope).collect(), points, radii }
+    }
+
+    /// Of a rod whose cavity has the cross-section `bore` at rest, m2.
+    fn new(assembly: &Assembly, basis: &Basis, strains: &[f64], rod: &Rod, bore: f64) -> Centreline {
+        let step = rod.length / basis.steps as f64;
+        let of = |[volume, stretch]: &[f64; 2]| {
+            ((rod.outer_radius.powi(2) + (volume - bore) / PI) / stretch).max(0.0).sqrt()
+        };
+        let within: Vec<f64> =
+            assembly.cavity.chunks_exact(2).map(|pair| 0.5 * (of(&pair[0]) + of(&pair[1]))).collect();
+        let radii = (0..=within.len()).map(|k| 0.5 * (within[k.saturating_sub(1)] + within[k.min(within.len() - 1)]));
         let slopes = assembly.nodes.iter().enumerate().map(|(k, node)| {
             let mut v = Vector3::z();
             for (p, q) in basis.at_node(k).iter().zip(strains.chunks_exact(6)) {
@@ -29,7 +51,14 @@ impl Centreline {
             }
             node.re * v * step
         });
-        Centreline { slopes: slopes.collect(), points: assembly.nodes.iter().map(|node| node.position()).collect() }
+        let points = assembly.nodes.iter().map(|node| node.position()).collect();
+        Centreline { slopes: slopes.collect(), points, radii: radii.collect() }
+    }
+
+    /// The tube's radius at `s`.
+    fn radius(&self, s: f64) -> f64 {
+        let k = (s.floor().max(0.0) as usize).min(self.pieces() - 1);
+        self.radii[k] + (self.radii[k + 1] - self.radii[k]) * (s - k as f64)
     }
 
     fn pieces(&self) -> usize {
@@ -63,52 +92,61 @@ impl Solver<'_> {
 
 impl Module {
     fn least_distance(&self, assemblies: &[Assembly], at: &Unknowns) -> Option<([usize; 2], f64)> {
-        let lines: Vec<_> = (self.mounts.iter().zip(assemblies).zip(&at.rods).enumerate())
-            .filter(|(_, ((mount, _), _))| mount.rod.outer_radius > 0.0)
-            .map(|(i, ((mount, assembly), (strains, _)))| {
-                (i, mount.rod.outer_radius, Centreline::new(assembly, &self.basis, strains, mount.rod.length))
+        let lines: Vec<_> = (self.mounts.iter().zip(&self.bores).zip(assemblies).zip(&at.rods).enumerate())
+            .filter(|(_, (((mount, _), _), _))| mount.rod.outer_radius > 0.0)
+            .map(|(i, (((mount, bore), assembly), (strains, _)))| {
+                (i, Centreline::new(assembly, &self.basis, strains, &mount.rod, *bore))
             })
             .collect();
-        let mut least: Option<([usize; 2], f64)> = None;
-        for (k, (i, radius, line)) in lines.iter().enumerate() {
-            for (j, other_radius, other) in &lines[k + 1..] {
-                let clearance = distance(line, other) - radius - other_radius;
-                if least.is_none_or(|(_, c)| clearance < c) {
-                    least = Some(([*i, *j], clearance));
-                }
-            }
-        }
-        least
+        least_clearance(&lines)
     }
 }
 
-/// The least distance of two centre lines.
+/// The closest two of the tubes and the distance of their surfaces, m; none of fewer than two.
+pub(crate) fn least_clearance(lines: &[(usize, Centreline)]) -> Option<([usize; 2], f64)> {
+    let mut least: Option<([usize; 2], f64)> = None;
+    for (k, (i, line)) in lines.iter().enumerate() {
+        for (j, other) in &lines[k + 1..] {
+            let clearance = distance(line, other);
+            if least.is_none_or(|(_, c)| clearance < c) {
+                least = Some(([*i, *j], clearance));
+            }
+        }
+    }
+    least
+}
+
+/// The least distance of the surfaces of two tubes.
 fn distance(a: &Centreline, b: &Centreline) -> f64 {
+    let widest = |line: &Centreline, k: usize| line.radii[k].max(line.radii[k + 1]);
     let mut best = (f64::INFINITY, 0.0, 0.0);
     for i in 0..a.pieces() {
         let (p, d) = (a.points[i], a.points[i + 1] - a.points[i]);
         for j in 0..b.pieces() {
             let (q, e) = (b.points[j], b.points[j + 1] - b.points[j]);
             let apart = (p - q + (d - e) * 0.5).norm() - 0.5 * (d.norm() + e.norm());
-            if apart < best.0 {
+            if apart - widest(a, i) - widest(b, j) < best.0 {
                 let (s, t) = nearest(&(p - q), &d, &e);
                 let length = (p - q + d * s - e * t).norm();
-                if length < best.0 {
-                    best = (length, i as f64 + s, j as f64 + t);
+                let (s, t) = (i as f64 + s, j as f64 + t);
+                let clearance = length - a.radius(s) - b.radius(t);
+                if clearance < best.0 {
+                    best = (clearance, s, t);
                 }
             }
         }
     }
+    // The chords' own distance is no more than where to begin.
     let (_, mut s, mut t) = best;
     let mut least = f64::INFINITY;
     for _ in 0..SEARCHES {
         let ((p, d), (q, e)) = (a.at(s), b.at(t));
         let w = p - q;
-        let length = w.norm();
-        if length.is_nan() || length >= least - 1e-9 {
+        let clearance = w.norm() - a.radius(s) - b.radius(t);
+        if clearance.is_nan() || clearance >= least - 1e-9 {
             break;
         }
-        least = length;
+        least = clearance;
         let (ds, dt) = interior(&w, &d, &e);
         s = (s + ds).clamp(0.0, a.pieces() as f64);
         t = (t + dt).clamp(0.0, b.pieces() as f64);
@@ -143,7 +181,7 @@ mod tests {
     fn line(curve: impl Fn(f64) -> (Vector3<f64>, Vector3<f64>), pieces: usize) -> Centreline {
         let nodes = (0..=pieces).map(|k| curve(k as f64 / pieces as f64));
         let (points, slopes) = nodes.map(|(p, d)| (p, d / pieces as f64)).unzip();
-        Centreline { points, slopes }
+        Centreline { points, slopes, radii: vec![0.0; pieces + 1] }
     }
 
     #[test]
@@ -154,6 +192,15 @@ mod tests {
         assert!((distance(&line(up(0.0), 4), &line(cross, 5)) - 0.2).abs() < 1e-9);
         let beyond = |s: f64| (Vector3::new(s - 0.37, 0.3, 1.4), Vector3::x());
         assert!((distance(&line(up(0.0), 4), &line(beyond, 5)) - 0.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn of_parallel_tubes_the_widest_places_count() {
+        let tube = |x: f64| Centreline {
+            radii: vec![1.0, 1.2, 1.5, 1.2, 1.0],
+            ..line(move |s: f64| (Vector3::new(x, 0.0, s), Vector3::z()), 4)
+        };
+        assert!((distance(&tube(0.0), &tube(4.0)) - 1.0).abs() < 1e-12);
     }
 
     #[test]

@@ -34,6 +34,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use thiserror::Error;
 
 pub use answer::{Answer, Limit, Pose, Reason, answer};
+pub(crate) use clearance::{Centreline, least_clearance};
 pub use path::{Critical, Kind, Path, Point};
 pub use scene::{Free, Hand, Layout, LayoutError, ModuleScene, NAMES, SceneError};
 pub use state::{State, Wrench};
@@ -70,6 +71,8 @@ pub struct Module {
     resolution: Resolution,
     basis: Basis,
     rest: Vector3<f64>,
+    /// Cross-section of each rod's cavity at rest, m2.
+    bores: Vec<f64>,
 }
 
 /// Why a module has no answer.
@@ -94,7 +97,7 @@ pub enum ModuleError {
         rods: usize,
     },
     /// A rod's law or integration refuses.
-    #[error("rod {index}: {cause}")]
+    #[error("FREE {}: {cause}", named(*.index))]
     Rod {
         /// Which one, from 0.
         index: usize,
@@ -114,8 +117,8 @@ pub enum ModuleError {
     },
     /// Two rods touch, which the model does not describe.
     #[error(
-        "rods {} and {} touch ({:.2} mm into each other): the model ends here; space them wider or lower the pressure",
-        .rods[0], .rods[1], -1e3 * .clearance
+        "FREEs {} and {} touch ({:.2} mm into each other): the model ends here; space them wider or lower the pressure",
+        named(.rods[0]), named(.rods[1]), -1e3 * .clearance
     )]
     Contact {
         /// Which ones.
@@ -123,6 +126,11 @@ pub enum ModuleError {
         /// Negative, m.
         clearance: f64,
     },
+}
+
+/// The letter of FREE `index`; of a module of more than four its number.
+fn named(index: usize) -> String {
+    NAMES.get(index).map_or_else(|| (index + 1).to_string(), |name| (*name).to_owned())
 }
 
 impl Loads {
@@ -180,7 +188,13 @@ impl Module {
         }
         let height = mounts.iter().map(|m| m.base.z + m.rod.length).fold(f64::NEG_INFINITY, f64::max);
         let rest = Vector3::new(0.0, 0.0, height);
-        Ok(Module { mounts, plate_mass, resolution, basis: Basis::new(resolution), rest })
+        let bores: Result<Vec<f64>, ModuleError> = (mounts.iter().enumerate())
+            .map(|(index, Mount { rod, .. })| match rod.law.jet(1.0, 0.0, 0.0) {
+                Ok(jet) => Ok(-jet.gradient.z),
+                Err(law) => Err(ModuleError::Rod { index, cause: law.into() }),
+            })
+            .collect();
+        Ok(Module { mounts, plate_mass, resolution, basis: Basis::new(resolution), rest, bores: bores? })
     }
 
     /// The same with the plate's centre at `height` m at rest: what lies between a rod's tip and the plate is rigid.

@@ -215,7 +215,7 @@ impl<'a> Solver<'a> {
             let (assembly, condensed) = (&mut self.assemblies[index], &mut self.condensed[index]);
             let pressure = loads.pressures[index];
             assembly.fill(rod, &module.basis, &module.base(index), pressure, strains, w).map_err(error)?;
-            if !condensed.eliminate(assembly, w, rod.law.bending.at(pressure), rod.length) {
+            if !condensed.eliminate(assembly, w, rod.law.bending_at_rest(), rod.length) {
                 return Err(error(RodError::Singular));
             }
             let gap = vector6(&small_twist(&assembly.tip(), &module.target(&at.plate, index)));
@@ -246,7 +246,7 @@ impl<'a> Solver<'a> {
             let change = wrench(&change);
             *w += change;
             // What bends the rod, not what would squeeze it: moments, and forces on an arm of its length.
-            load = load.max((change.du.amax() + length * change.re.amax()) * length / law.bending.at(0.0));
+            load = load.max((change.du.amax() + length * change.re.amax()) * length / law.bending_at_rest());
             for (strain, step) in strains.chunks_exact_mut(6).zip(self.step.chunks_exact(6)) {
                 for (s, d) in strain.iter_mut().zip(step) {
                     *s += d;

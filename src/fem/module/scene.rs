@@ -46,7 +46,7 @@ pub struct Free {
     /// Length at rest from base to plate, m.
     pub length: f64,
     /// The part of the length, half at each end, that the ends keep from moving, m: the end correction of this type of FREE, 0
-    /// unless identified.
+    /// unless identified; negative where ends move more than the middle.
     pub dead_length: f64,
     /// Curvature at rest about x and y, rad/m: no FREE is quite straight.
     pub rest_curvature: Vector2<f64>,
@@ -84,7 +84,7 @@ pub enum SceneError {
         radii: [f64; 2],
     },
     /// A dead length that leaves no FREE.
-    #[error("dead length {dead_length} m of a FREE of {length} m: must be at least 0 and below half of the length")]
+    #[error("dead length {dead_length} m of a FREE of {length} m: must be below half of the length, either way")]
     DeadLength {
         /// m.
         dead_length: f64,
@@ -172,7 +172,7 @@ impl ModuleScene {
             if !(length >= least && length.is_finite()) {
                 return Err(SceneError::Length { length, least });
             }
-            if !(dead_length >= 0.0 && dead_length < 0.5 * length) {
+            if !(dead_length.abs() < 0.5 * length) {
                 return Err(SceneError::DeadLength { dead_length, length });
             }
             let radii = [tube.outer_radius(), self.frees[(i + 1) % 4].tube.outer_radius()];

@@ -39,9 +39,10 @@ pub(crate) struct Assembly {
     pub jacobian: Vec<DualMatrix>,
     /// Poses at the ends of the steps, from the base to the tip.
     pub nodes: Vec<DualMatrix>,
+    /// Volume of the cavity per reference length, m2, and stretch at the Gauss points.
+    pub cavity: Vec<[f64; 2]>,
     geometric: Vec<DualMatrix>,
     pulled: Vec<[DualMatrix; 2]>,
-    axial: Vec<[f64; 3]>,
 }
 
 /// The strain at a Gauss point.
@@ -137,65 +138,37 @@ impl Assembly {
             vector.resize(length, DualMatrix::ZERO);
         }
         self.pulled.resize(modes, [DualMatrix::ZERO; 2]);
-        self.axial.clear();
-        self.axial.resize(modes * modes, [0.0; 3]);
         self.nodes.clear();
+        self.cavity.clear();
     }
 
     /// The law's part: energy, dU/dq, d2U/dq2, d2U/dq dP.
     fn constitutive(&mut self, rod: &Rod, basis: &Basis, pressure: f64, q: &[f64]) -> Result<(), RodError> {
         let Rod { length, ref law, rest_curvature, .. } = *rod;
-        let mut isobar = law.at(pressure)?;
-        let modes = basis.modes;
-        let weight = length / (2 * basis.steps) as f64;
-        let ([ei, ga, c], [ei_p, ga_p, c_p]) = (isobar.lateral, isobar.lateral_slope);
+        let mut isobar = law.at(pressure);
+        let (n, weight) = (self.n, length / (2 * basis.steps) as f64);
         for point in 0..2 * basis.steps {
             let phi = basis.at(point);
             let x = strain(phi, q);
-            let (k, g) = (x.re.xy() - rest_curvature, x.du.xy());
-            let jet = isobar.jet(x.du.z, x.re.z)?;
-            self.energy +=
-                weight * (jet.value + 0.5 * ei * k.norm_squared() + 0.5 * ga * g.norm_squared() + c * k.dot(&g));
-            self.energy_by_pressure += weight
-                * (jet.gradient.z + 0.5 * ei_p * k.norm_squared() + 0.5 * ga_p * g.norm_squared() + c_p * k.dot(&g));
-            let (bend, shear) = (k * ei + g * c, g * ga + k * c);
-            let stress = [bend.x, bend.y, jet.gradient.y, shear.x, shear.y, jet.gradient.x];
-            let (bend, shear) = (k * ei_p + g * c_p, g * ga_p + k * c_p);
-            let slope = [bend.x, bend.y, jet.hessian.m23, shear.x, shear.y, jet.hessian.m13];
+            let density = isobar.density(&(x.re.xy() - rest_curvature), &x.du.xy(), x.du.z, x.re.z)?;
+            self.energy += weight * density.value;
+            self.energy_by_pressure += weight * density.by_pressure;
+            self.cavity.push([-density.by_pressure, x.du.z]);
+            let (stress, slope) = (density.stress * weight, density.stress_by_pressure * weight);
+            let tangent = density.tangent * weight;
             for (m, p) in phi.iter().enumerate() {
                 for i in 0..STRAINS {
-                    self.internal[STRAINS * m + i] += weight * p * stress[i];
-                    self.by_pressure[STRAINS * m + i] += weight * p * slope[i];
+                    self.internal[STRAINS * m + i] += p * stress[i];
+                    self.by_pressure[STRAINS * m + i] += p * slope[i];
                 }
-                for (entry, o) in self.axial[m * modes..][..modes].iter_mut().zip(phi) {
-                    let w = weight * p * o;
-                    entry[0] += w * jet.hessian.m22;
-                    entry[1] += w * jet.hessian.m12;
-                    entry[2] += w * jet.hessian.m11;
-                }
-            }
-        }
-        let n = self.n;
-        for m in 0..modes {
-            for o in m..modes {
-                let mass = length * basis.mass[m * modes + o];
-                let [twist, cross, stretch] = self.axial[m * modes + o];
-                let (row, column) = (STRAINS * m, STRAINS * o);
-                for (i, j, value) in [
-                    (0, 0, ei * mass),
-                    (1, 1, ei * mass),
-                    (3, 3, ga * mass),
-                    (4, 4, ga * mass),
-                    (0, 3, c * mass),
-                    (1, 4, c * mass),
-                    (3, 0, c * mass),
-                    (4, 1, c * mass),
-                    (2, 2, twist),
-                    (5, 5, stretch),
-                    (2, 5, cross),
-                    (5, 2, cross),
-                ] {
-                    self.hessian[(row + i) * n + column + j] = value;
+                for (o, other) in phi.iter().enumerate().skip(m) {
+                    let share = p * other;
+                    for i in 0..STRAINS {
+                        let row = &mut self.hessian[(STRAINS * m + i) * n + STRAINS * o..][..STRAINS];
+                        for (entry, t) in row.iter_mut().zip(&tangent.column(i)) {
+                            *entry += share * t;
+                        }
+                    }
                 }
             }
         }
@@ -230,7 +203,8 @@ mod tests {
 
     use super::super::basis::{Basis, Resolution};
     use super::super::condensed::{Condensed, moment_force, twist, vector6};
-    use super::super::law::{Law, Profile, Straight};
+    use super::super::law::{Law, Straight};
+    use super::super::profile::Profile;
     use super::*;
 
     const PRESSURE: f64 = 0.7;

@@ -1,8 +1,11 @@
 //! What a rod is made of: one potential of its strains and its pressure, per reference length.
 //!
 //! ```text
-//!     psi = psi0(lam, tau; P) + EI(P) |kappa|^2 / 2 + GA(P) |gamma|^2 / 2 + C(P) kappa . gamma
+//!     psi = psi0(lam, tau; P) + EI |kappa|^2 / 2 + GA |gamma + q kappa|^2 / 2
 //! ```
+//!
+//! with EI, GA and q of (lam, tau, P), too: a tube that is held from turning bends more easily than one that is free.
+//! EI is that of bending by a moment alone, in which the shear strain is -q kappa; `C = GA q` couples the two.
 //!
 //! psi0 is the energy of the straight section less `P V`, minimised over the section's own fields, so its derivatives
 //! are the *total* force and moment: pressure acts through the potential and nowhere else, with no lateral load and no
@@ -13,6 +16,7 @@ use std::sync::Arc;
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use thiserror::Error;
 
+use super::profile::{Isobaric, Profile};
 use super::table::{Slice, Table};
 use crate::fem::linear::LinearSection;
 
@@ -37,18 +41,20 @@ pub enum LawError {
     Stretch(f64),
     /// Bending and shear are no positive definite form.
     #[error(
-        "at {pressure:.0} Pa bending stiffness {bending} N m2, shear stiffness {shear} N and coupling {coupling} N m: \
-         the first two must be positive and exceed the coupling's square"
+        "at stretch {stretch:.4}, twist {twist:.2} rad/m and {pressure:.0} Pa bending stiffness {bending} N m2 and shear \
+         stiffness {shear} N: both must be positive"
     )]
     Bending {
+        /// Axial stretch.
+        stretch: f64,
+        /// Twist, rad per reference metre.
+        twist: f64,
         /// Gauge pressure, Pa.
         pressure: f64,
         /// EI, N m2.
         bending: f64,
         /// GA, N.
         shear: f64,
-        /// C, N m.
-        coupling: f64,
     },
 }
 
@@ -81,33 +87,19 @@ pub enum Straight {
     Table(Arc<Table>),
 }
 
-/// Most points that a [`Profile`] goes through.
-const PROFILE: usize = 7;
-
-/// A polynomial of the pressure, in Newton's form.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Profile {
-    /// Pressures of the points, Pa.
-    nodes: [f64; PROFILE],
-    /// Divided differences: `c[0] + (P - n[0]) (c[1] + (P - n[1]) (c[2] + ...))`.
-    coefficients: [f64; PROFILE],
-    /// Constant from here on, Pa.
-    last: f64,
-}
-
 /// The law of a rod.
 #[derive(Clone, Debug)]
 pub struct Law {
     /// psi0.
     pub straight: Straight,
-    /// EI, N m2, of curvature per reference length.
+    /// EI, N m2, of curvature per reference length, where the shear strain follows freely.
     pub bending: Profile,
     /// GA, N, of shear per reference length. A rod that cannot shear is one with a large GA: shear strains are
     /// unknowns of their own, so nothing locks.
     pub shear: Profile,
-    /// C, N m.
+    /// q, m: minus the shear strain per curvature where only a moment bends.
     pub coupling: Profile,
-    /// The mirror image (other handedness): psi0(lam, -tau) and -C.
+    /// The mirror image (other handedness): everything at -tau, and -q.
     pub mirrored: bool,
 }
 
@@ -118,57 +110,8 @@ pub(crate) struct Isobar<'a> {
     pressure: f64,
     /// Of a table.
     slice: Option<Slice<'a>>,
-    /// EI, GA, C.
-    pub lateral: [f64; 3],
-    /// Their derivatives by pressure.
-    pub lateral_slope: [f64; 3],
-}
-
-impl Profile {
-    /// The same at every pressure.
-    pub fn constant(value: f64) -> Profile {
-        Profile::through([(0.0, value)])
-    }
-
-    /// Through one to seven (pressure Pa, value) of different pressures: of the least degree that does.
-    pub fn through<const N: usize>(points: [(f64, f64); N]) -> Profile {
-        const { assert!(1 <= N && N <= PROFILE) };
-        let (mut nodes, mut coefficients) = ([0.0; PROFILE], [0.0; PROFILE]);
-        for (i, (pressure, value)) in points.into_iter().enumerate() {
-            (nodes[i], coefficients[i]) = (pressure, value);
-        }
-        for order in 1..N {
-            for i in (order..N).rev() {
-                let slope = (coefficients[i] - coefficients[i - 1]) / (nodes[i] - nodes[i - order]);
-                coefficients[i] = slope;
-            }
-        }
-        Profile { nodes, coefficients, last: f64::INFINITY }
-    }
-
-    /// The same, and constant above `last` Pa.
-    pub fn constant_above(self, last: f64) -> Profile {
-        Profile { last, ..self }
-    }
-
-    /// The value at `pressure` Pa.
-    pub fn at(&self, pressure: f64) -> f64 {
-        self.value_and_slope(pressure).0
-    }
-
-    fn slope(&self, pressure: f64) -> f64 {
-        if pressure > self.last { 0.0 } else { self.value_and_slope(pressure).1 }
-    }
-
-    fn value_and_slope(&self, pressure: f64) -> (f64, f64) {
-        let p = pressure.min(self.last);
-        let (mut value, mut slope) = (0.0, 0.0);
-        for (node, coefficient) in self.nodes.iter().zip(&self.coefficients).rev() {
-            slope = value + (p - node) * slope;
-            value = coefficient + (p - node) * value;
-        }
-        (value, slope)
-    }
+    /// EI, GA, q.
+    lateral: [Isobaric<'a>; 3],
 }
 
 impl Jet {
@@ -238,36 +181,47 @@ impl Law {
         Ok(self.straight.jet(stretch, -twist, pressure)?.mirrored())
     }
 
-    /// The law at `pressure` Pa, or what is wrong with it there.
-    pub(crate) fn at(&self, pressure: f64) -> Result<Isobar<'_>, LawError> {
-        let hand = if self.mirrored { -1.0 } else { 1.0 };
-        let [bending, shear] = [self.bending.at(pressure), self.shear.at(pressure)];
-        let coupling = hand * self.coupling.at(pressure);
-        if !(bending > 0.0 && shear > 0.0 && bending * shear > coupling * coupling && pressure.is_finite()) {
-            return Err(LawError::Bending { pressure, bending, shear, coupling });
-        }
-        let slope = [self.bending, self.shear, self.coupling].map(|q| q.slope(pressure));
+    /// The law at `pressure` Pa.
+    pub(crate) fn at(&self, pressure: f64) -> Isobar<'_> {
         let slice = match &self.straight {
             Straight::Linear { .. } => None,
             Straight::Table(table) => Some(table.at(pressure)),
         };
-        Ok(Isobar {
-            law: self,
-            pressure,
-            slice,
-            lateral: [bending, shear, coupling],
-            lateral_slope: [slope[0], slope[1], hand * slope[2]],
-        })
+        let lateral = [&self.bending, &self.shear, &self.coupling].map(|profile| profile.isobaric(pressure));
+        Isobar { law: self, pressure, slice, lateral }
+    }
+
+    /// EI at rest, N m2.
+    pub fn bending_at_rest(&self) -> f64 {
+        self.bending.at([1.0, 0.0, 0.0])
     }
 }
 
 impl Isobar<'_> {
+    /// psi0.
     pub fn jet(&mut self, stretch: f64, twist: f64) -> Result<Jet, LawError> {
         match &mut self.slice {
             None => self.law.jet(stretch, twist, self.pressure),
             Some(slice) if self.law.mirrored => Ok(slice.jet(stretch, -twist)?.mirrored()),
             Some(slice) => slice.jet(stretch, twist),
         }
+    }
+
+    /// EI, GA and q with their derivatives by (stretch, twist, pressure), the second by pressure left out.
+    pub fn lateral(&self, stretch: f64, twist: f64) -> Result<[Jet; 3], LawError> {
+        let jets = match self.law.mirrored {
+            false => self.lateral.map(|of| of.jet(stretch, twist)),
+            true => {
+                let [bending, shear, coupling] = self.lateral.map(|of| of.jet(stretch, -twist).mirrored());
+                let Jet { value, gradient, hessian } = coupling;
+                [bending, shear, Jet { value: -value, gradient: -gradient, hessian: -hessian }]
+            }
+        };
+        let [bending, shear] = [jets[0].value, jets[1].value];
+        if bending > 0.0 && shear > 0.0 && jets[2].value.is_finite() {
+            return Ok(jets);
+        }
+        Err(LawError::Bending { stretch, twist, pressure: self.pressure, bending, shear })
     }
 }
 
@@ -317,23 +271,6 @@ mod tests {
     }
 
     #[test]
-    fn a_profile_goes_through_its_points_and_knows_its_slope() {
-        let points = [(0.0, 673.0), (3.5, 909.0), (7.0, 1854.0), (8.0, 1900.0), (10.0, 1000.0)];
-        let quartic = Profile::through(points);
-        assert!(points.iter().all(|(p, value)| (quartic.at(*p) - value).abs() < 1e-10));
-        let quadratic = Profile::through([points[0], points[1], points[2]]);
-        // Second differences of a quadratic are all alike.
-        let second = |p: f64| quadratic.at(p + 1.0) - 2.0 * quadratic.at(p) + quadratic.at(p - 1.0);
-        assert!((second(2.0) - second(9.0)).abs() < 1e-9 && (quadratic.at(7.0) - 1854.0).abs() < 1e-10);
-        for profile in [quartic, quadratic, Profile::constant(4.0)] {
-            assert!(((profile.at(2.0001) - profile.at(1.9999)) / 0.0002 - profile.slope(2.0)).abs() < 1e-5);
-        }
-        let kept = quartic.constant_above(7.5);
-        assert_eq!((kept.at(9.0), kept.slope(9.0)), (quartic.at(7.5), 0.0));
-        assert_eq!(kept.at(7.0), quartic.at(7.0));
-    }
-
-    #[test]
     fn a_law_without_stiffness_is_refused_by_name() {
         let law = Law {
             straight: Straight::spontaneous(30.0, 3e-4, 0.0, 0.0),
@@ -342,9 +279,10 @@ mod tests {
             coupling: Profile::constant(0.0),
             mirrored: false,
         };
-        assert!(law.at(1.0).is_ok());
-        assert!(matches!(law.at(2.0), Err(LawError::Bending { .. })));
-        assert!(matches!(law.at(f64::NAN), Err(LawError::Bending { .. })));
+        assert!(law.at(1.0).lateral(1.0, 0.0).is_ok());
+        for pressure in [2.0, f64::NAN] {
+            assert!(matches!(law.at(pressure).lateral(1.0, 0.0), Err(LawError::Bending { .. })));
+        }
         assert!(matches!(law.jet(-0.1, 0.0, 0.0), Err(LawError::Stretch(_))));
         assert!(matches!(law.jet(1.0, f64::NAN, 0.0), Err(LawError::Stretch(_))));
     }

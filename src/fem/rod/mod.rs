@@ -11,8 +11,10 @@
 mod assembly;
 mod basis;
 mod condensed;
+mod density;
 mod dual;
 mod law;
+mod profile;
 mod table;
 
 use nalgebra::Vector2;
@@ -23,7 +25,8 @@ pub(crate) use basis::Basis;
 pub use basis::Resolution;
 pub(crate) use condensed::{Condensed, blocks, half_bracket, moment_force, twist, vector6, wrench};
 pub(crate) use dual::{DualMatrix, DualVector, Exponential, skew, small_twist};
-pub use law::{Jet, Law, LawError, Profile, Straight};
+pub use law::{Jet, Law, LawError, Straight};
+pub use profile::Profile;
 pub use table::{Axis, Grid, Table, TableDeviation, TableError};
 
 /// A rod of one law. SI units.
@@ -35,7 +38,7 @@ pub struct Rod {
     pub law: Law,
     /// Curvature at rest about the section's x and y, rad/m: an imperfect FREE is not straight.
     pub rest_curvature: Vector2<f64>,
-    /// Outer radius for the clearance to other rods, m; 0 ignores contact.
+    /// Outer radius at rest for the clearance to other rods, m; 0 ignores contact.
     pub outer_radius: f64,
 }
 

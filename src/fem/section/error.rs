@@ -14,7 +14,7 @@ pub enum LimitKind {
     Pressure,
     /// The rubber folds at the strip's end at held stretch and twist. Local, and dependent on the mesh: the traction
     /// jumps at the strip's end, so a finer mesh folds earlier, down to less than half of the pressure (see the
-    /// module).
+    /// module and [`super::folds`]).
     Folding,
     /// Fields that break the symmetry about the fibre grow.
     Asymmetric,

@@ -14,13 +14,13 @@ use std::sync::Arc;
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
-use super::{Errors, Lateral, Request, SectionLaw, SectionLawError};
+use super::{Errors, Request, SectionLaw, SectionLawError};
 use crate::fem::material::Law as Rubber;
-use crate::fem::rod::{Axis, Grid, Table};
-use crate::fem::section::{Bending, Mesh};
+use crate::fem::rod::{Axis, Grid, Profile, Table};
+use crate::fem::section::Mesh;
 
 /// To be counted up whenever the same request leads to another law or other bytes.
-const VERSION: u64 = 2;
+const VERSION: u64 = 3;
 const NAME: &[u8; 16] = b"freerig law\0\0\0\0\0";
 /// A SHA-256.
 const HASH: usize = 32;
@@ -131,9 +131,7 @@ impl SectionLaw {
             all.integer(u64::from(state.is_some()));
             all.numbers(state.into_iter().flatten());
         }
-        for (pressure, b) in &self.lateral {
-            all.numbers([*pressure, b.bending, b.shear, b.coupling]);
-        }
+        all.numbers(self.lateral.iter().flat_map(Profile::numbers));
         let Errors { stretch, twist, states, mesh, bending } = self.errors;
         all.numbers([stretch, twist, mesh, bending]);
         all.integer(states as u64);
@@ -170,11 +168,8 @@ impl SectionLaw {
             });
         }
         let table = Table::from_known(grid, states.into_iter()).map_err(SectionLawError::from)?;
-        let mut lateral = Lateral::default();
-        for entry in &mut lateral {
-            let [pressure, bending, shear, coupling] = from.numbers()?;
-            *entry = (pressure, Bending { bending, shear, coupling });
-        }
+        let mut profile = || Ok::<_, BytesError>(Profile::of_numbers(&from.numbers()?));
+        let lateral = [profile()?, profile()?, profile()?];
         let [stretch, twist, mesh, bending] = from.numbers()?;
         let states = usize::try_from(from.integer()?).map_err(|_| BytesError::Damaged)?;
         if !from.0.is_empty() {

@@ -2,8 +2,8 @@
 //!
 //! The potential psi0 of a straight piece at held stretch and twist under pressure is what a [`Section`] minimises; a
 //! [`Table`] of it over all that the FREEs of a module can reach is the rod's law, exact for straight rods of any
-//! finite strain. Bending and shear are the second variation about the free state of each pressure
-//! ([`Section::bending`]). Pressure enters through these potentials and nowhere else.
+//! finite strain. Bending and shear are the second variation about such states ([`Section::bending`]), as polynomials of
+//! stretch, twist and pressure. Pressure enters through these potentials and nowhere else.
 //!
 //! A FREE and its mirror image share one table, kept for the right-handed one.
 
@@ -22,7 +22,7 @@ use self::sample::{Probe, Row};
 use super::ends::{End, Ends, Equilibrium};
 use super::linear::LinearSection;
 use super::rod::{Axis, Grid, Law, Profile, Straight, Table, TableError};
-use super::section::{Bending, Mesh, Section, SectionError};
+use super::section::{Mesh, Section, SectionError};
 use super::tube::{Tube, TubeError};
 
 /// Points of the grid along stretch, twist and pressure.
@@ -32,16 +32,9 @@ const POINTS: [usize; 3] = [7, 9, 9];
 /// linear function of the pressure.
 const REACH: f64 = 0.05;
 const BEND: f64 = 0.25;
-/// Pressures at which lateral stiffness is computed; between them it is known to 0.6 %.
-const LATERAL: usize = 7;
-/// Share of a free tube's limit pressure up to which it is.
-const NEARLY: f64 = 0.9;
 
 /// Closed, free to stretch, held from turning.
 const UNTWISTED: Ends = Ends { axial: End::Loaded(0.0), torsion: End::Held(0.0) };
-
-/// Gauge pressure (Pa) and lateral stiffness.
-type Lateral = [(f64, Bending); LATERAL];
 
 /// What a law is wanted for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -85,8 +78,8 @@ pub enum SectionLawError {
 pub struct SectionLaw {
     request: Request,
     table: Arc<Table>,
-    /// Of the right-handed tube's free state, pressures rising.
-    lateral: Lateral,
+    /// EI, GA and q of the right-handed tube, see [`Law`].
+    lateral: [Profile; 3],
     errors: Errors,
 }
 
@@ -101,8 +94,7 @@ pub struct Errors {
     pub states: usize,
     /// The mesh's relative error of what a blocked tube does at half of the pressure; infinite where one of the meshes compared folds.
     pub mesh: f64,
-    /// What it means that bending stiffness follows the pressure alone: the largest relative difference between that of
-    /// the free state and that of the tube held from turning, over the pressures at which both have one.
+    /// Largest relative error of EI there.
     pub bending: f64,
 }
 
@@ -164,13 +156,11 @@ impl SectionLaw {
         }
         let table = Table::new(grid, &states)?;
         let linear = LinearSection::new(&request.tube)?;
-        let lateral = lateral(&section, request.pressure)?;
-        let mut errors = Errors {
-            mesh: mesh_error(&request, &section)?,
-            bending: bending_error(&section, &lateral)?,
-            ..Errors::default()
-        };
-        for Probe { at: [stretch, twist, pressure], jet } in rows.iter().flat_map(|row| &row.probes) {
+        let samples: Vec<_> = rows.iter().flat_map(|row| &row.lateral).copied().collect();
+        let lateral = Profile::fitted(&grid, &samples).ok_or(TableError::Empty)?;
+        let mut errors = Errors { mesh: mesh_error(&request, &section)?, ..Errors::default() };
+        for Probe { at: [stretch, twist, pressure], jet, bending } in rows.iter().flat_map(|row| &row.probes) {
+            errors.bending = errors.bending.max((lateral[0].at([*stretch, *twist, *pressure]) / bending - 1.0).abs());
             let Ok(found) = table.jet(*stretch, *twist, *pressure) else { continue };
             let off = motion(&linear, &(found.gradient - jet.gradient).xy()).abs();
             errors.stretch = errors.stretch.max(off.x);
@@ -187,27 +177,13 @@ impl SectionLaw {
 
     /// The law of a rod of the winding angle `gamma`, whose sign alone counts.
     pub fn law(&self, gamma: f64) -> Law {
-        let profile = |of: fn(&Bending) -> f64| {
-            let last = self.lateral[LATERAL - 1].0;
-            Profile::through(self.lateral.map(|(pressure, b)| (pressure, of(&b)))).constant_above(last)
-        };
-        Law {
-            straight: Straight::Table(self.table.clone()),
-            bending: profile(|b| b.bending),
-            shear: profile(|b| b.shear),
-            coupling: profile(|b| b.coupling),
-            mirrored: gamma < 0.0,
-        }
+        let [bending, shear, coupling] = self.lateral;
+        Law { straight: Straight::Table(self.table.clone()), bending, shear, coupling, mirrored: gamma < 0.0 }
     }
 
     /// psi0.
     pub fn table(&self) -> &Table {
         &self.table
-    }
-
-    /// Gauge pressures (Pa, rising) and the right-handed tube's lateral stiffness there, in its free state.
-    pub fn lateral(&self) -> &[(f64, Bending)] {
-        &self.lateral
     }
 
     /// How far it may be off.
@@ -236,33 +212,4 @@ fn mesh_error(request: &Request, section: &Section) -> Result<f64, SectionLawErr
     };
     // Where one of them has folded already, nothing is known.
     Ok(coarse?.zip(fine?).map_or(f64::INFINITY, |(a, b)| (of(&a) - of(&b)).norm() / of(&b).norm()))
-}
-
-/// See [`Errors::bending`].
-fn bending_error(section: &Section, lateral: &Lateral) -> Result<f64, SectionLawError> {
-    let mut state = section.rest()?;
-    let mut error = 0.0_f64;
-    for (pressure, free) in lateral {
-        if section.reach(&mut state, *pressure, UNTWISTED)?.is_none() {
-            break;
-        }
-        let held = section.bending(&state)?.pure_bending();
-        error = error.max((held / free.pure_bending() - 1.0).abs());
-    }
-    Ok(error)
-}
-
-/// Lateral stiffness of the free state at evenly spaced pressures up to `pressure`, or up to nearly the limit of the free tube: close to it
-/// the free tube swells without bound, which in a module the others prevent.
-fn lateral(section: &Section, pressure: f64) -> Result<Lateral, SectionLawError> {
-    let limit = section.limit_pressure(Ends::FREE, pressure)?;
-    let last = limit.map_or(pressure, |limit| NEARLY * limit.pressure);
-    let mut state = section.rest()?;
-    let mut found = Lateral::default();
-    for (k, entry) in found.iter_mut().enumerate() {
-        let at = last * k as f64 / (LATERAL - 1) as f64;
-        section.advance(&mut state, at, Ends::FREE)?;
-        *entry = (at, section.bending(&state)?);
-    }
-    Ok(found)
 }

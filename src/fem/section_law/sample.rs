@@ -6,12 +6,16 @@ use crate::fem::section::{Section, SectionError, State};
 
 /// One in so many of the cells about the free states is looked into.
 const EVERY: usize = 4;
+/// Twists (of nine) and pressures (of nine) at which the tube is bent, at the three stretches about the free state.
+const BENT: [[usize; 5]; 2] = [[1, 2, 4, 6, 7], [0, 2, 4, 6, 8]];
 
 /// A state between the grid's points, to hold the interpolant against.
 pub(super) struct Probe {
     /// (stretch, twist, pressure).
     pub at: [f64; 3],
     pub jet: Jet,
+    /// EI of bending by a moment alone, N m2.
+    pub bending: f64,
 }
 
 /// The states of one twist.
@@ -19,6 +23,8 @@ pub(super) struct Probe {
 pub(super) struct Row {
     /// (stretch's index, pressure's index, state) of those accepted.
     pub states: Vec<(usize, usize, Jet)>,
+    /// (stretch, twist, pressure) and EI of bending by a moment alone, GA, and q = C / GA, of some of them.
+    pub lateral: Vec<([f64; 3], [f64; 3])>,
     pub probes: Vec<Probe>,
 }
 
@@ -76,16 +82,35 @@ impl Row {
             return Ok(());
         }
         self.probe(section, grid, [nearest, twist, pressure], &middle)?;
+        let bent = BENT[0].contains(&twist) && BENT[1].contains(&pressure);
+        if bent {
+            self.bend(section, at(nearest), &middle)?;
+        }
         let mut state = middle.clone();
         for i in nearest + 1..points {
             if !self.accept(section, grid, [i, twist, pressure], &mut state)? {
                 break;
+            }
+            if bent && i == nearest + 1 {
+                self.bend(section, at(i), &state)?;
             }
         }
         for i in (0..nearest).rev() {
             if !self.accept(section, grid, [i, twist, pressure], &mut middle)? {
                 break;
             }
+            if bent && i + 1 == nearest {
+                self.bend(section, at(i), &middle)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn bend(&mut self, section: &Section, at: [f64; 3], state: &State) -> Result<(), SectionError> {
+        let b = section.bending(state)?;
+        // Far from the free states a tube may give way sideways: that is for the rods to find, and no stiffness.
+        if b.pure_bending() > 0.0 && b.shear > 0.0 {
+            self.lateral.push((at, [b.pure_bending(), b.shear, b.coupling / b.shear]));
         }
         Ok(())
     }
@@ -97,7 +122,8 @@ impl Row {
         if inside && (at[1] + at[2]).is_multiple_of(EVERY) {
             let mut state = from.clone();
             if let Some(found) = section.reach(&mut state, pressure, held(stretch, twist))? {
-                self.probes.push(Probe { at: [stretch, twist, pressure], jet: jet(section, &state, &found) });
+                let bending = section.bending(&state)?.pure_bending();
+                self.probes.push(Probe { at: [stretch, twist, pressure], jet: jet(section, &state, &found), bending });
             }
         }
         Ok(())

@@ -298,6 +298,7 @@ pub(super) fn tube(tube: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> 
     Ok(Meshed { body, planes, outer, fiber, copies })
 }
 
+#[cfg(test)]
 /// The body of a tube of `length` m alone, in units of its outer radius and shear modulus.
 pub fn tube_body(of: &Tube, length: f64, mesh: &Mesh, bulk: Option<f64>) -> Result<Body, MeshError> {
     Ok(tube(of, length, mesh, bulk)?.body)

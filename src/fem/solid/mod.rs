@@ -29,6 +29,6 @@ pub mod tip;
 pub use answer::{PathEnd, SolidEquilibrium, SolidPath, Station};
 pub use error::SolidError;
 pub use mesh::{Mesh, MeshError, Part};
-pub use module::{ModulePath, PlateEquilibrium, SolidModule};
+pub use module::{ModuleEnd, ModulePath, PlateEquilibrium, SolidModule};
 pub use path::Solid;
 pub use tip::Tip;

@@ -9,14 +9,20 @@
 //!
 //! with the tube's Schur complement S, its condensed residual r and the derivatives f of its energy by q. It is the
 //! step of the whole system, and converges as that does. **Inertia**: by Haynsworth, what each tube has with its cap
-//! held, plus the negative eigenvalues of K.
+//! held, plus the negative eigenvalues of K. It is counted at every equilibrium on the way.
+//!
+//! Where the module is symmetric, one tube is solved for all that are its images (`symmetry`); K stays that of all four,
+//! so that what breaks the symmetry is counted, too.
 
 mod plate;
+mod symmetry;
+mod walk;
 
 use nalgebra::{SMatrix, SVector, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
-use self::plate::{Joint, carried, position, rotation, wrench};
+use self::plate::{Joint, carried};
+use self::symmetry::{Symmetry, image, imaged};
 use super::SolidError;
 use super::body::State;
 use super::cap::{AXIAL, COORDINATES, Coordinates, LATERAL};
@@ -26,14 +32,12 @@ use crate::fem::module::{Wrench, square};
 use crate::fem::sparse::SparseError;
 use crate::fem::tube::Tube;
 
+pub use walk::ModuleEnd;
+
 /// Tubes of a module.
 pub const TUBES: usize = 4;
 /// Most tangents of one step.
 const MOST_TANGENTS: usize = 12;
-/// Smallest part of a step that is tried.
-const SMALLEST: f64 = 1.0 / 64.0;
-/// Largest step of a pressure that is tried, in units of the shear modulus: 2 psi for the reference FREE.
-const LARGEST_STEP: f64 = 0.0355;
 
 /// A tube and where it stands.
 struct Bonded {
@@ -71,7 +75,8 @@ type Vector = SVector<f64, COORDINATES>;
 /// A change of everything with the pressures.
 struct Rate {
     plate: Vector,
-    tubes: Vec<Direction>,
+    /// None of the images.
+    tubes: Vec<Option<Direction>>,
 }
 
 /// An equilibrium of the module. SI units.
@@ -89,6 +94,8 @@ pub struct PlateEquilibrium {
     pub negative_pivots: usize,
     /// Those that a stable state has: one for each pressure unknown of the rubber.
     pub expected_negative_pivots: usize,
+    /// The closest two tubes and the distance of their surfaces, m.
+    pub least_clearance: Option<([usize; 2], f64)>,
 }
 
 impl PlateEquilibrium {
@@ -103,8 +110,11 @@ impl PlateEquilibrium {
 pub struct ModulePath {
     /// One for each set of pressures reached, in the order asked for.
     pub states: Vec<PlateEquilibrium>,
-    /// Where no further step converges, if it ended early, Pa.
-    pub stuck: Option<[f64; TUBES]>,
+    /// How it ended.
+    pub end: ModuleEnd,
+    /// Where the inertia of the straight way from one set of pressures to the next first says that stability is lost, Pa, as
+    /// far as it was followed.
+    pub unstable: Option<[f64; TUBES]>,
     /// Newton iterations in all.
     pub iterations: usize,
 }
@@ -112,6 +122,12 @@ pub struct ModulePath {
 /// Four tubes A, B, C, D on a square, A at (+, +), then counter-clockwise, under one rigid plate.
 pub struct SolidModule {
     tubes: Vec<Bonded>,
+    gammas: [f64; TUBES],
+    fibers: usize,
+    /// Of every tube: heights of the divisions along it and the outer nodes there, with weights.
+    planes: Vec<f64>,
+    outer: Vec<Vec<(usize, f64)>>,
+    symmetry: Symmetry,
     plate: Coordinates,
     force: Vector3<f64>,
     radius: f64,
@@ -139,9 +155,12 @@ impl SolidModule {
         let radius = tube.outer_radius();
         let plate = [0.0; COORDINATES];
         let mut tubes: Vec<Bonded> = Vec::with_capacity(TUBES);
+        let (mut planes, mut outer) = (Vec::new(), Vec::new());
         for (gamma, base) in gammas.into_iter().zip(square(spacing / radius)) {
             let tube = Tube { gamma, ..*tube }.validated()?;
-            let body = mesh::tube_body(&tube, length, mesh, None)?;
+            let meshed = mesh::tube(&tube, length, mesh, None)?;
+            let body = meshed.body;
+            (planes, outer) = (meshed.planes, meshed.outer);
             let system = match tubes.first() {
                 Some(first) => first.system.alike(body),
                 None => System::new(body, [false; COORDINATES]),
@@ -151,7 +170,8 @@ impl SolidModule {
             tubes.push(Bonded { system, state, arm: base, joint });
         }
         let modulus = tube.law.shear_modulus();
-        Ok(SolidModule { tubes, plate, force: Vector3::zeros(), radius, modulus, iterations: 0 })
+        let (force, fibers, symmetry) = (Vector3::zeros(), tube.fibers, Symmetry::none());
+        Ok(SolidModule { tubes, gammas, fibers, planes, outer, symmetry, plate, force, radius, modulus, iterations: 0 })
     }
 
     /// Unknowns: displacements, pressures in the rubber, the plate.
@@ -159,99 +179,23 @@ impl SolidModule {
         self.tubes.iter().map(|t| t.system.size() + t.system.body.pressures()).sum::<usize>() + COORDINATES
     }
 
-    /// Equilibria from rest under the dead `force` (N, at the plate's centre) at the gauge pressures `pressures`, Pa,
-    /// one set after the other, each approached along a straight line; `progress` is told the share of the way, 0 to
-    /// 1. A path that ends early says where.
-    pub fn follow(
-        &mut self,
-        force: &Vector3<f64>,
-        pressures: &[[f64; TUBES]],
-        progress: &mut dyn FnMut(f64),
-    ) -> Result<ModulePath, SolidError> {
-        if let Some(&value) = pressures.iter().flatten().find(|p| !p.is_finite()) {
-            return Err(SolidError::NotFinite { what: "pressure", value });
-        }
-        if let Some(&value) = force.iter().find(|f| !f.is_finite()) {
-            return Err(SolidError::NotFinite { what: "force", value });
-        }
-        self.plate = [0.0; COORDINATES];
-        (self.force, self.iterations) = (Vector3::zeros(), 0);
-        for tube in &mut self.tubes {
-            tube.state = tube.system.body.rest();
-            tube.carry(&self.plate);
-        }
-        self.linearise()?;
-        let force = force / (self.modulus * self.radius * self.radius);
-        self.go([0.0; TUBES], force)?;
-        let mut path = ModulePath { states: Vec::new(), stuck: None, iterations: 0 };
-        let mut passed = 0.0;
-        let mut last = [0.0; TUBES];
-        let way = |a: &[f64; TUBES], b: &[f64; TUBES]| (0..TUBES).map(|i| (a[i] - b[i]).abs()).fold(0.0, f64::max);
-        let ways: Vec<f64> = pressures.iter().map(|p| way(&std::mem::replace(&mut last, *p), p)).collect();
-        let total = ways.iter().sum::<f64>().max(f64::MIN_POSITIVE);
-        for (goal, way) in pressures.iter().zip(&ways) {
-            let goal = goal.map(|p| p / self.modulus);
-            let start = self.gas();
-            let steps = (way / self.modulus / LARGEST_STEP).ceil().max(1.0) as usize;
-            for step in 1..=steps {
-                let part = step as f64 / steps as f64;
-                let gas = std::array::from_fn(|i| start[i] + (goal[i] - start[i]) * part);
-                if self.go(gas, force).is_err() {
-                    path.stuck = Some(self.gas().map(|p| p * self.modulus));
-                    path.iterations = self.iterations;
-                    return Ok(path);
-                }
-                progress(((passed + part * way) / total).min(1.0));
-            }
-            passed += way;
-            path.states.push(self.answer()?);
-        }
-        path.iterations = self.iterations;
-        Ok(path)
-    }
-
     fn gas(&self) -> [f64; TUBES] {
         std::array::from_fn(|i| self.tubes[i].state.gas)
     }
 
-    /// Goes to the pressures `gas` and the force `force` in as many steps as it takes.
-    fn go(&mut self, gas: [f64; TUBES], force: Vector3<f64>) -> Result<(), SystemError> {
-        let (from, from_force) = (self.gas(), self.force);
-        let (mut done, mut step) = (0.0, 1.0_f64);
-        while done < 1.0 {
-            let part = (done + step).min(1.0);
-            let before = (self.plate, self.force, self.tubes.iter().map(|t| t.state.clone()).collect::<Vec<_>>());
-            let rate = self.rate(std::array::from_fn(|i| (gas[i] - from[i]) * (part - done)))?;
-            self.advance(&rate, 1.0);
-            self.force = from_force + (force - from_force) * part;
-            for (i, tube) in self.tubes.iter_mut().enumerate() {
-                tube.state.gas = from[i] + (gas[i] - from[i]) * part;
-            }
-            match self.solve() {
-                Ok(iterations) => {
-                    self.iterations += iterations;
-                    done = part;
-                    step *= 2.0;
-                }
-                Err(error) => {
-                    step *= 0.5;
-                    (self.plate, self.force) = (before.0, before.1);
-                    for (tube, state) in self.tubes.iter_mut().zip(before.2) {
-                        tube.state = state;
-                        tube.carry(&self.plate);
-                    }
-                    self.linearise()?;
-                    if step < SMALLEST {
-                        return Err(error);
-                    }
-                }
-            }
-        }
-        Ok(())
+    /// The tubes that are solved.
+    fn solved(&self) -> impl Iterator<Item = &Bonded> {
+        (0..TUBES).filter(|&i| self.symmetry.solves(i)).map(|i| &self.tubes[i])
+    }
+
+    /// Does `of` to every tube that is solved, all at once.
+    fn each(&mut self, of: impl Fn(&mut Bonded) -> Result<(), SystemError> + Sync) -> Result<(), SystemError> {
+        let symmetry = &self.symmetry;
+        (self.tubes.par_iter_mut().enumerate()).filter(|(i, _)| symmetry.solves(*i)).try_for_each(|(_, tube)| of(tube))
     }
 
     fn linearise(&mut self) -> Result<(), SystemError> {
-        self.tubes.par_iter_mut().try_for_each(Bonded::linearise)
+        self.each(Bonded::linearise)
     }
 
     /// The force's energy by the plate's coordinates.
@@ -267,11 +211,12 @@ impl SolidModule {
     fn closed(&self) -> (SMatrix<f64, COORDINATES, COORDINATES>, Vector) {
         let dead = self.dead();
         let (mut stiffness, mut residual) = (dead.second, dead.slope);
-        for Bonded { system, joint, .. } in &self.tubes {
+        for (Bonded { joint, .. }, (source, signs)) in self.tubes.iter().zip(&self.symmetry.sources) {
+            let system = &self.tubes[*source].system;
             let condensed = system.condensed();
-            stiffness +=
-                joint.slope.tr_mul(&(condensed.stiffness * joint.slope)) + joint.second(&system.cap_residual());
-            residual += joint.slope.tr_mul(&condensed.residual);
+            stiffness += joint.slope.tr_mul(&(image(&condensed.stiffness, signs) * joint.slope))
+                + joint.second(&imaged(&system.cap_residual(), signs));
+            residual += joint.slope.tr_mul(&condensed.residual.component_mul(signs));
         }
         ((stiffness + stiffness.transpose()) * 0.5, residual)
     }
@@ -280,22 +225,23 @@ impl SolidModule {
     fn rate(&self, gas: [f64; TUBES]) -> Result<Rate, SystemError> {
         let (stiffness, _) = self.closed();
         let mut right = Vector::zeros();
-        for (tube, change) in self.tubes.iter().zip(gas) {
-            right -= tube.joint.slope.tr_mul(&tube.system.condensed().by_gas) * change;
+        for (i, (source, signs)) in self.symmetry.sources.iter().enumerate() {
+            let by_gas = self.tubes[*source].system.condensed().by_gas.component_mul(signs);
+            right -= self.tubes[i].joint.slope.tr_mul(&by_gas) * gas[i];
         }
-        let plate = self.solved(&stiffness, &right)?;
-        Ok(Rate {
-            plate,
-            tubes: self.tubes.iter().zip(gas).map(|(t, change)| t.moved(false, &plate, change)).collect(),
-        })
+        let plate = self.plate_step(&stiffness, &right)?;
+        let tubes = self.tubes.iter().zip(gas).enumerate();
+        let tubes = tubes.map(|(i, (t, change))| self.symmetry.solves(i).then(|| t.moved(false, &plate, change)));
+        Ok(Rate { plate, tubes: tubes.collect() })
     }
 
-    fn solved(
+    fn plate_step(
         &self,
         stiffness: &SMatrix<f64, COORDINATES, COORDINATES>,
         right: &Vector,
     ) -> Result<Vector, SystemError> {
-        stiffness.lu().solve(right).ok_or(SystemError::Sparse(SparseError::Singular(self.unknowns())))
+        let step = stiffness.lu().solve(right).ok_or(SystemError::Sparse(SparseError::Singular(self.unknowns())))?;
+        Ok(self.symmetry.project(&step))
     }
 
     /// Moves everything by `factor` times a rate; returns the largest displacement.
@@ -305,21 +251,39 @@ impl SolidModule {
             *q += factor * change;
         }
         for (tube, direction) in self.tubes.iter_mut().zip(&rate.tubes) {
-            largest = largest.max(tube.system.advance(&mut tube.state, direction, factor));
-            tube.carry(&self.plate);
+            if let Some(direction) = direction {
+                largest = largest.max(tube.system.advance(&mut tube.state, direction, factor));
+            }
         }
+        self.carry();
         largest
+    }
+
+    /// All caps go where the plate carries them.
+    fn carry(&mut self) {
+        for (i, tube) in self.tubes.iter_mut().enumerate() {
+            if self.symmetry.solves(i) {
+                tube.carry(&self.plate);
+            } else {
+                tube.joint = Joint::of(&self.plate, &tube.arm);
+                tube.state.cap = tube.joint.cap;
+            }
+        }
+    }
+
+    /// Derivatives of tube `index`'s energy by its cap's coordinates.
+    fn cap_residual(&self, index: usize) -> Coordinates {
+        let (source, signs) = &self.symmetry.sources[index];
+        imaged(&self.tubes[*source].system.cap_residual(), signs)
     }
 
     /// Largest force out of balance.
     fn imbalance(&self) -> f64 {
         let mut plate = self.dead().slope;
-        let mut largest = 0.0_f64;
-        for tube in &self.tubes {
-            plate += carried(&tube.joint, &tube.system.cap_residual());
-            largest = tube.system.residual().iter().fold(largest, |m, r| m.max(r.abs()));
+        for (i, tube) in self.tubes.iter().enumerate() {
+            plate += carried(&tube.joint, &self.cap_residual(i));
         }
-        largest.max(plate.amax())
+        self.solved().flat_map(|tube| tube.system.residual()).fold(plate.amax(), |m, r| m.max(r.abs()))
     }
 
     /// Newton's iteration at the pressures of the states; a tangent is used again while it gains a digit at a time.
@@ -329,17 +293,18 @@ impl SolidModule {
         let first = self.imbalance();
         loop {
             let (stiffness, right) = self.closed();
-            let plate = self.solved(&stiffness, &-right)?;
-            let tubes = self.tubes.iter().map(|t| t.moved(true, &plate, 0.0)).collect();
+            let plate = self.plate_step(&stiffness, &-right)?;
+            let tubes = self.tubes.iter().enumerate();
+            let tubes = tubes.map(|(i, t)| self.symmetry.solves(i).then(|| t.moved(true, &plate, 0.0))).collect();
             let last = self.advance(&Rate { plate, tubes }, 1.0);
             iterations += 1;
-            self.tubes.par_iter_mut().try_for_each(|t| t.system.evaluate(&t.state, false))?;
+            self.each(|t| t.system.evaluate(&t.state, false))?;
             let residual = self.imbalance();
             if !(last + residual).is_finite() || (iterations > 2 && residual > 1e3 * first.max(1.0)) {
                 return Err(SystemError::Diverged { iterations, residual });
             }
             let again = pace.again(last);
-            let balanced = residual < FORCE_TOLERANCE && self.tubes.iter().all(|t| t.system.balanced_inside());
+            let balanced = residual < FORCE_TOLERANCE && self.solved().all(|t| t.system.balanced_inside());
             if last < SAME && balanced {
                 if pace.moved > SAME {
                     self.linearise()?;
@@ -347,7 +312,10 @@ impl SolidModule {
                 return Ok(iterations);
             }
             if again {
-                self.tubes.par_iter_mut().for_each(|t| t.system.resolve());
+                self.each(|t| {
+                    t.system.resolve();
+                    Ok(())
+                })?;
             } else if pace.tangents < MOST_TANGENTS {
                 self.linearise()?;
                 pace.renew();
@@ -355,31 +323,5 @@ impl SolidModule {
                 return Err(SystemError::Diverged { iterations, residual });
             }
         }
-    }
-
-    /// The last equilibrium in SI units.
-    fn answer(&self) -> Result<PlateEquilibrium, SystemError> {
-        let (stiffness, _) = self.closed();
-        let plate = stiffness.symmetric_eigenvalues().iter().filter(|&&e| e < 0.0).count();
-        let inside: usize = self.tubes.iter().map(|t| t.system.negative_inside()).sum();
-        let expected = self.tubes.iter().map(|t| t.system.body.pressures()).sum();
-        let force = self.modulus * self.radius * self.radius;
-        let nothing = Wrench { force: Vector3::zeros(), moment: Vector3::zeros() };
-        let mut on_plate = [nothing; TUBES];
-        for (of, Bonded { system, state, .. }) in on_plate.iter_mut().zip(&self.tubes) {
-            let work = system.cap_residual().map(|f| -f * force);
-            // None where the plate has turned over, which nothing can have done on the way.
-            let (force, moment) = wrench(&state.cap, &system.body.cap_center, &work)
-                .ok_or(SystemError::Sparse(SparseError::Singular(COORDINATES)))?;
-            *of = Wrench { force, moment: moment * self.radius };
-        }
-        Ok(PlateEquilibrium {
-            pressures: self.gas().map(|p| p * self.modulus),
-            position: position(&self.plate, &self.tubes[0].system.body.cap_center) * self.radius,
-            rotation: UnitQuaternion::from_rotation_matrix(&rotation(&self.plate)),
-            on_plate,
-            negative_pivots: expected + inside + plate,
-            expected_negative_pivots: expected,
-        })
     }
 }
