@@ -65,7 +65,11 @@ fn from_every_state_a_terminated_daemon_ends_vented() {
                 _ => {}
             }
             match state {
-                "ramp_down" => asked.push(place.background(&["disarm"])),
+                "ramp_down" => {
+                    let command = || runtime().block_on(client.status()).unwrap().frees[0].command_pa;
+                    until("under pressure", || command() > 1e3);
+                    asked.push(place.background(&["disarm"]));
+                }
                 "faulted" => {
                     place.command(&["estop"]);
                 }
