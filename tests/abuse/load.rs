@@ -13,10 +13,10 @@ use freerig::record::Run;
 use freerig::signal::{FaultCode, FaultSet};
 
 use super::place::{Daemon, Place, STALLS, alone, runtime};
-use super::{finished, hold};
+use super::{analogue, finished, hold};
 
-/// From here on the pressure of the rig's only unit may be called stale: half of three of its periods.
-const STALE: Duration = Duration::from_millis(24);
+/// From here on the regulator's answer may be called stale: one and a half of its periods.
+const STALE: Duration = Duration::from_millis(15);
 
 /// Something that keeps a core busy, until it is dropped.
 fn burn() -> Daemon {
@@ -84,6 +84,7 @@ fn audit(run: &Run, books: &mut Books) {
 fn under_load(duration: Duration) {
     let _alone = alone();
     let place = Place::new();
+    analogue(&place);
     place.rewrite(|text| text.replace("rate_hz = 100", "rate_hz = 500"));
     let daemon = place.daemon();
     let client = place.client();

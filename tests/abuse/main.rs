@@ -23,25 +23,30 @@ use freerig::daemon::client::Lines;
 /// An experiment that holds a little pressure for as long as a test may need it.
 const HOLD: &str = "kind = \"sweep\"\npressures_psi = [2]\nmove_s = 0.5\nhold_s = 600\nand_back = false\n";
 
-/// [`place::attempt`] with an analogue regulator in the place of the serial one. Nothing in these is about the devices,
-/// and the simulated serial line is carried by the kernel's own work, which waits where every core is busy.
+/// [`place::attempt`] on the [`analogue`] rig.
 fn attempt(scenario: impl Fn(&place::Place)) {
     place::attempt(|place| {
-        let without = |text: String, from: &str, to: &str, instead: &str| {
-            let (begin, end) = (text.find(from).unwrap(), text.find(to).unwrap());
-            format!("{}{instead}{}", &text[..begin], &text[end..])
-        };
-        place.rewrite(|text| {
-            let text = without(text, "[serial.line]", "# One table per FREE", "");
-            without(text, "[free.regulator]", "[free.limits]", ANALOGUE)
-        });
-        let path = place.path("calibration/paper.toml");
-        let text = std::fs::read_to_string(&path).unwrap();
-        let measured = "[regulator]\nzero_code = { value = 60.0, method = \"test\" }\n\
-                        span_pa_per_code = { value = 26.0, method = \"test\" }\n";
-        std::fs::write(&path, text.replace("[regulator]\n", measured)).unwrap();
+        analogue(place);
         scenario(place);
     });
+}
+
+/// Puts an analogue regulator in the place of the serial one: nothing here is about the devices, and the simulated serial
+/// line is carried by the kernel's own work, which waits where every core is busy.
+fn analogue(place: &place::Place) {
+    let without = |text: String, from: &str, to: &str, instead: &str| {
+        let (begin, end) = (text.find(from).unwrap(), text.find(to).unwrap());
+        format!("{}{instead}{}", &text[..begin], &text[end..])
+    };
+    place.rewrite(|text| {
+        let text = without(text, "[serial.line]", "# One table per FREE", "");
+        without(text, "[free.regulator]", "[free.limits]", ANALOGUE)
+    });
+    let path = place.path("calibration/paper.toml");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let measured = "[regulator]\nzero_code = { value = 60.0, method = \"test\" }\n\
+                    span_pa_per_code = { value = 26.0, method = \"test\" }\n";
+    std::fs::write(&path, text.replace("[regulator]\n", measured)).unwrap();
 }
 
 /// A regulator behind a DAC on the bus of the IMU.
