@@ -3,11 +3,11 @@
 //! Errors are those of [`crate::fem::measure`], over all pressures of a case. What the reference leaves itself, the
 //! section on level 4, is about a sixteenth of level 1's discretisation error. The section lacks the ends, which the
 //! solid has: at mid-length the two solve the same problem, over the whole length they differ by the ends, and only a
-//! finer solid tells the solid's own discretisation error of that.
+//! finer solid tells the solid's own discretisation error of that. [`calculix`] is the peer that is compared with it.
 
 use std::time::Instant;
 
-use super::{Size, in_parallel, quantile, row};
+use super::{Size, calculix, in_parallel, quantile, row};
 use crate::cli::{Failure, Progress};
 use crate::fem::fidelity::{Fidelity, Hold, Scene, ask};
 use crate::fem::measure::{Outcome, difference};
@@ -57,6 +57,7 @@ pub(super) fn run(size: &Size) -> Result<BenchSuite, Failure> {
     named(&mut rows, &mut curves)?;
     let count = size.count;
     seeded(count, &mut rows, &mut curves, &mut facts)?;
+    calculix::beside(&mut rows, &mut curves, &mut facts)?;
     facts.push(("width of the fibres, 40 deg".into(), widths()?));
     facts.push(("wall time".into(), format!("{:.1} s", start.elapsed().as_secs_f64())));
     Ok(BenchSuite {

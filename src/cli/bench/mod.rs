@@ -2,7 +2,9 @@
 //!
 //! A suite is one file with a function from [`Size`] to a [`BenchSuite`], and a line in [`SUITES`] and in [`Args`].
 
+mod calculix;
 mod control;
+mod deck;
 mod faults;
 mod fem;
 mod identification;
