@@ -11,7 +11,7 @@ use freerig::control::Request;
 use freerig::daemon::experiment::{Attendance, Job, run};
 use freerig::daemon::{Bench, DaemonError, Pump, Stepped, procedure};
 use freerig::record::{Recorder, RunResult};
-use freerig::signal::{State, TickRecord};
+use freerig::signal::{State, TickRecord, Trim};
 
 fn rig(runs: &Path) -> Rig {
     let mut rig = Rig::load(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/rig.toml"))).expect("rig.toml is clean");
@@ -59,6 +59,9 @@ impl Bench for Seldom {
     }
     fn request(&mut self, request: Request) -> Result<(), DaemonError> {
         self.0.request(request)
+    }
+    fn trim(&mut self, trim: Trim) {
+        self.0.trim(trim);
     }
     fn pass(&mut self, duration: Duration) -> Result<(), DaemonError> {
         self.0.pass(duration.max(Duration::from_millis(700)))
