@@ -244,7 +244,7 @@ fn names_must_lead_somewhere() {
         "none.toml",
         "published-code",
     );
-    one_problem("bus = \"main\"", "bus = \"other\"", "free.paper.imu.bus", "no `[i2c.other]`", "main");
+    one_problem("\nbus = \"main\"", "\nbus = \"other\"", "free.paper.imu.bus", "no `[i2c.other]`", "main");
     one_problem("line = \"line\"", "line = \"other\"", "free.paper.regulator.line", "no `[serial.other]`", "line");
 }
 

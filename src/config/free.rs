@@ -121,6 +121,8 @@ const CHANNELS: [(&str, usize); 4] = [("A", 0), ("B", 1), ("C", 2), ("D", 3)];
 const PRESSURE_CEILING: f64 = 150.0;
 /// Widest angle that makes sense: two turns and a half, deg.
 const ANGLE_CEILING: f64 = 900.0;
+/// How far the FREE turns at rest by noise and drift, rad: the soft envelope leaves room for it.
+const SWAY: f64 = 1.0_f64.to_radians();
 
 /// Reads one FREE; the `earlier` ones may not share its name or its devices.
 pub(super) fn read_free(
@@ -435,6 +437,13 @@ fn read_limits(mut section: Section<'_>, full_scale: f64) -> Limits {
             "soft_angle_deg",
             "must lie inside hard_angle_deg",
             "narrow it: outside the soft envelope the pressure is ramped down, outside the hard one vented",
+        );
+    }
+    if soft.0 > -SWAY || soft.1 < SWAY {
+        section.reject(
+            "soft_angle_deg",
+            format!("must leave at least {:.0} deg to either side of rest", SWAY.to_degrees()),
+            "widen it: at rest the FREE sways, and the readings have noise and drift",
         );
     }
     let error = section.optional_number("tracking_error_deg", 0.1..=ANGLE_CEILING).unwrap_or(f64::INFINITY);

@@ -23,8 +23,8 @@ const FULL_SCALE: f64 = 15.0 * PSI;
 /// Stands for the pressure below which a FREE counts as vented, Pa.
 const ZERO: f64 = 0.2 * PSI;
 /// Keys of a FREE that its vent does not need.
-const OF_NO_USE: [&str; 8] =
-    ["limits", "gains", "controller", "derivative_on", "feedforward_percent", "imu", "knob", "sim"];
+const OF_NO_USE: [&str; 9] =
+    ["calibration", "limits", "gains", "controller", "derivative_on", "feedforward_percent", "imu", "knob", "sim"];
 
 /// A rig to be vented and nothing else.
 #[derive(Debug)]

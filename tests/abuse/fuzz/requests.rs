@@ -83,8 +83,9 @@ fn whatever_bytes_come_they_are_answered_or_cut_off_and_the_next_client_is_serve
             assert!(answer.is_empty(), "half an answer: {answer}");
             return false;
         };
+        // A client of HTTP/1.0 is answered in it.
         assert!(head.starts_with("HTTP/1."), "{head}");
-        if head.starts_with("HTTP/1.1 200") {
+        if head.split(' ').nth(1) == Some("200") {
             return true;
         }
         // What is no HTTP is told so by its number alone.
