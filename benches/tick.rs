@@ -13,7 +13,9 @@ use freerig::clock::Time;
 use freerig::config::Rig;
 use freerig::control::{Controller, Request, TickInput};
 use freerig::rt::Histogram;
-use freerig::signal::{ImuHealth, ImuSample, MAX_FREES, PressureSample, Quantity, RegulatorHealth, State, TickRecord};
+use freerig::signal::{
+    ImuHealth, ImuSample, MAX_FREES, PressureSample, Quantity, RegulatorHealth, State, TickRecord, Trim,
+};
 use freerig::trajectory::{Axis, Program, Sequence};
 
 /// Single ticks that are timed for the percentiles.
@@ -47,6 +49,7 @@ impl Bench {
                 skipped: 0,
                 imu: [ImuSample::default(); MAX_FREES],
                 pressure: [PressureSample::default(); MAX_FREES],
+                trim: Trim::default(),
                 request: None,
                 estop: false,
                 realtime: true,

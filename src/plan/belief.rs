@@ -9,7 +9,7 @@
 //! ```
 //!
 //! Successive readings share their errors (the fusion drifts, the model is off by the same amount for a while), so a
-//! reading counts only for its share of [`ALIKE`].
+//! reading counts only for its share of `ALIKE`.
 
 use nalgebra::{SMatrix, SVector};
 

@@ -83,7 +83,7 @@ pub use samples::{Batches, FILE_NAME as SAMPLES_NAME, Records, Table, floats};
 pub use sheet::Sheet;
 pub use signals::Signals;
 pub use stiffness::stiffness_sheet;
-pub use study::{Study, StudyDocument, study_sheet};
+pub use study::{Labelled, Study, StudyDocument, study_sheet};
 pub use tip::{TipLine, TipWriter, read as read_tip};
 pub use tube::TubeDocument;
 pub use way::way_sheet;

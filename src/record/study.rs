@@ -280,8 +280,8 @@ fn read(path: &Path) -> Result<Vec<Row>> {
 /// Height of a drawing, pixels.
 const HEIGHT: u32 = 300;
 
-/// What is drawn of an aim: its name and how far a row gets, in the unit of the name.
-pub type Reach<'a> = (String, &'a dyn Fn(&Row) -> Option<f64>);
+/// A label, and what it says of a row, in its unit.
+pub type Labelled<'a, T> = (String, &'a dyn Fn(&Row) -> T);
 
 /// A page with, for every parameter (its label, its value in the label's unit) and every aim, the farthest that any
 /// design with that value gets.
@@ -289,8 +289,8 @@ pub fn study_sheet(
     title: &str,
     facts: Vec<(String, String)>,
     rows: &[&Row],
-    parameters: &[(String, &dyn Fn(&Row) -> f64)],
-    aims: &[Reach<'_>],
+    parameters: &[Labelled<'_, f64>],
+    aims: &[Labelled<'_, Option<f64>>],
 ) -> Sheet {
     let mut figures = Vec::new();
     for (axis, value) in parameters {

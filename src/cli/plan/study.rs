@@ -13,7 +13,7 @@ use super::sweep::{Parameter, Sweep};
 use crate::cli::table::{Table, number};
 use crate::cli::{Context, Failure, Progress};
 use crate::plan::study::{Candidate, Question, Row, rows};
-use crate::record::{RecordError, Study, StudyDocument, study_sheet};
+use crate::record::{Labelled, RecordError, Study, StudyDocument, study_sheet};
 use crate::units::Pressure;
 
 /// One of several who share a study: `2/16`.
@@ -184,14 +184,14 @@ fn merge(
         .iter()
         .map(|s| (s.parameter.label(), move |row: &Row| s.parameter.shown(s.parameter.get(&row.candidate))))
         .collect();
-    let parameters: Vec<(String, &dyn Fn(&Row) -> f64)> =
+    let parameters: Vec<Labelled<'_, f64>> =
         values.iter().map(|(label, of)| (label.clone(), of as &dyn Fn(&Row) -> f64)).collect();
     let reaches: Vec<_> = AIMS
         .iter()
         .filter(asked)
         .map(|(aim, unit, of)| (format!("{aim} ({unit})"), |row: &Row| of(row, question.length)))
         .collect();
-    let aims: Vec<(String, &dyn Fn(&Row) -> Option<f64>)> =
+    let aims: Vec<Labelled<'_, Option<f64>>> =
         reaches.iter().map(|(label, of)| (label.clone(), of as &dyn Fn(&Row) -> Option<f64>)).collect();
     let title = format!("{} designs at {:.1}", report.designs, Pressure::pascals(report.pressure_pa));
     let page =

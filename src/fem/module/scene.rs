@@ -172,7 +172,7 @@ impl ModuleScene {
             if !(length >= least && length.is_finite()) {
                 return Err(SceneError::Length { length, least });
             }
-            if !(dead_length.abs() < 0.5 * length) {
+            if !dead_length.is_finite() || dead_length.abs() >= 0.5 * length {
                 return Err(SceneError::DeadLength { dead_length, length });
             }
             let radii = [tube.outer_radius(), self.frees[(i + 1) % 4].tube.outer_radius()];

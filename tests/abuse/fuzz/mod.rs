@@ -41,10 +41,13 @@ fn files(paths: &[&str]) -> Vec<Vec<u8>> {
     seeds
 }
 
+/// Since when a case has been running, and its bytes.
+type Running = Option<(Instant, Vec<u8>)>;
+
 /// Feeds `target` with the seeds themselves and `count` mutations of them; how many were accepted.
 fn feed(seeds: Vec<Vec<u8>>, words: &[&str], count: usize, mut target: impl FnMut(&[u8]) -> bool) -> usize {
     let times = std::env::var("FREERIG_FUZZ").ok().and_then(|text| text.parse().ok()).unwrap_or(1);
-    let now: Arc<Mutex<Option<(Instant, Vec<u8>)>>> = Arc::default();
+    let now: Arc<Mutex<Running>> = Arc::default();
     let watched = Arc::downgrade(&now);
     std::thread::spawn(move || {
         while let Some(now) = watched.upgrade() {

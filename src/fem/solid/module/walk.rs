@@ -56,8 +56,8 @@ struct Inertia {
 
 impl SolidModule {
     /// Equilibria from rest under the dead `force` (N, at the plate's centre) at the gauge pressures `pressures`, Pa,
-    /// one set after the other, each approached along a straight line; `progress` is told the share of the way, 0 to
-    /// 1. A path that ends early says where. What `pressures` and `force` leave of the module's symmetry is kept: the
+    /// one set after the other, each approached along a straight line; `progress` is told the share of the
+    /// way, from 0 to 1. A path that ends early says where. What `pressures` and `force` leave of the module's symmetry is kept: the
     /// perfect module stays on its straight branch, and its inertia says how long that is stable.
     pub fn follow(
         &mut self,
