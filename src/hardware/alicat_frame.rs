@@ -89,9 +89,9 @@ impl fmt::Display for Escaped {
 pub struct Frame {
     /// Controlled pressure.
     pub pressure: f64,
-    /// Accepted set-point.
+    /// Accepted set-point; NaN of a gauge, which has none.
     pub setpoint: f64,
-    /// Value of the set-point's last decimal place: the unit cannot say it more finely.
+    /// Value of the set-point's last decimal place: the unit cannot say it more finely; 0 of a gauge.
     pub resolution: f64,
     /// Status tokens.
     pub status: RegulatorStatus,
