@@ -114,9 +114,15 @@ fn under_load(duration: Duration) {
     }
     drop(load);
     let status = place.until("over", |status| status.run.is_none());
+    // The rig is free before the last run's file is closed.
+    let runs = || Run::list(&place.path("runs")).unwrap().into_iter().map(Result::unwrap).collect::<Vec<_>>();
+    let patience = Instant::now() + Duration::from_secs(30);
+    while runs().iter().any(|run| run.stop().is_none()) && Instant::now() < patience {
+        std::thread::sleep(Duration::from_millis(100));
+    }
     let mut books = Books::default();
-    for run in Run::list(&place.path("runs")).unwrap() {
-        audit(&run.unwrap(), &mut books);
+    for run in runs() {
+        audit(&run, &mut books);
     }
     let tick = &status.tick;
     eprintln!("{cores} cores busy, real time {}: {books:?}", tick.realtime);
