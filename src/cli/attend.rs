@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use anyhow::anyhow;
 use tokio::runtime::Runtime;
+use tokio::signal::unix::{SignalKind, signal};
 use tokio::time::{MissedTickBehavior, interval};
 
 use super::outcome::Outcome;
@@ -80,6 +81,8 @@ async fn attend(
     mut cues: &[Cue],
     context: &Context,
 ) -> Result<Vec<RunResult>, Failure> {
+    // One listener from before the start to the end: what is pressed while the daemon is being asked is heard afterwards.
+    let mut interrupts = signal(SignalKind::interrupt())?;
     let mut events = client.events().await.map_err(Failure::client)?;
     client.start(start).await.map_err(Failure::client)?;
     let mut look = interval(LOOK);
@@ -116,8 +119,7 @@ async fn attend(
                     cues = &cues[1..];
                 }
             }
-            pressed = tokio::signal::ctrl_c(), if !stopping => {
-                pressed?;
+            _ = interrupts.recv(), if !stopping => {
                 stopping = true;
                 context.note("stopping: the pressures hold; `freerig disarm` takes them down, `freerig estop` vents");
                 client.stop().await.map_err(Failure::client)?;

@@ -60,7 +60,9 @@ fn rows() -> Vec<Row> {
         let rotation = UnitQuaternion::from_quaternion(Quaternion::new(v[6], v[7], v[8], v[9]));
         (v[0], case(v[1] as usize, v[2]), Vector3::new(v[3], v[4], v[5]) * 1e-3, rotation)
     };
-    std::fs::read_to_string(path).unwrap().lines().skip(1).map(row).collect()
+    let rows: Vec<Row> = std::fs::read_to_string(path).unwrap().lines().skip(1).map(row).collect();
+    assert_eq!(rows.len(), 8, "module.csv");
+    rows
 }
 
 /// The reference's law of bending: EI at 0, 3.5, 7 psi in N mm2, no shear.

@@ -116,6 +116,8 @@ fn the_module_that_is_the_models_goes_where_the_plan_says_but_for_the_regulators
     assert_eq!(result.tip, None);
     let page = fs::read_to_string(run.folder.join("report.html")).unwrap();
     assert!(page.contains("Way of the plate") && page.contains("SIMULATED"));
+    // How one FREE turns under the plate is compared with no model of one FREE.
+    assert!(page.contains("No comparison with the model") && !page.contains("RMSD to the model at rest"));
 }
 
 #[test]

@@ -156,12 +156,7 @@ impl<I: I2c> DacSeat<I> {
         if (matches!(rung, Rung::Reopen | Rung::Lost) || !self.open)
             && let Some(driver) = &mut self.driver
         {
-            driver.replace_bus(Handle::closed());
-            self.open = false;
-            if let Some(bus) = Handle::anew(open, &self.statistics) {
-                driver.replace_bus(bus);
-                self.open = true;
-            }
+            self.open = Handle::renew(open, &self.statistics, |bus| driver.replace_bus(bus));
         }
         if matches!(rung, Rung::Restart | Rung::Lost) {
             // From here the way back leads through `connect`: its first frame is zero.

@@ -32,21 +32,23 @@ impl<I> Handle<I> {
 const NOBODY: u8 = 0x7F;
 
 impl<I: I2c> Handle<I> {
-    /// A new handle on the bus, none if it cannot be opened. The old one has to be closed by then.
+    /// Closes a device's handle, then opens the bus anew; `replace` gives the device its handle. Whether the bus is open.
     ///
     /// A device that was interrupted while it answered holds the data line until it has been clocked to the end of its
     /// byte. Reading from nobody does that: nine clocks with the data line let go. Whether that is possible is the
     /// adapter's to say; nothing is lost where it is not.
-    pub fn anew(open: Open<'_, I>, statistics: &DeviceStatistics) -> Option<Self> {
+    pub fn renew(open: Open<'_, I>, statistics: &DeviceStatistics, mut replace: impl FnMut(Self)) -> bool {
+        replace(Self::closed());
         match open() {
             Ok(mut bus) => {
                 statistics.reopens.increment();
                 let _ = bus.read(NOBODY, &mut [0]);
-                Some(Self::on(bus))
+                replace(Self::on(bus));
+                true
             }
             Err(error) => {
                 statistics.note_error(&error);
-                None
+                false
             }
         }
     }
