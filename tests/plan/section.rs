@@ -20,7 +20,7 @@ pub fn module_as_the_references(resolution: Resolution) -> Module {
     let ei = [416.0, 476.0, 551.0].map(|ei| ei * 1e-6);
     let bending = Profile::through([(0.0, ei[0]), (3.5 * PSI, ei[1]), (7.0 * PSI, ei[2])]);
     let laws = scene.frees.map(|free| Law {
-        bending: bending.clone(),
+        bending,
         shear: Profile::constant(1e4),
         coupling: Profile::constant(0.0),
         ..section.law(free.tube.gamma)
