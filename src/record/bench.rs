@@ -116,11 +116,16 @@ impl BenchSuite {
         let sheet = Sheet {
             title: self.title.into(),
             simulated: true,
-            facts: self.facts.iter().cloned().chain(facts).collect(),
+            facts: self.said().into_iter().chain(facts).collect(),
             figures: vec![(self.caption.into(), plot)],
             ..Sheet::default()
         };
         sheet.write(&file("html"))
+    }
+
+    /// The facts and the comparisons at equal error: names and values.
+    pub fn said(&self) -> Vec<(String, String)> {
+        self.facts.iter().cloned().chain(self.claims.iter().map(super::bench_page::fact)).collect()
     }
 
     pub(super) fn plot(&self) -> Plot {

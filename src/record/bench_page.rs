@@ -116,6 +116,12 @@ fn cells(claim: &Claim) -> [String; 6] {
     ]
 }
 
+/// A comparison in words.
+pub(super) fn fact(claim: &Claim) -> (String, String) {
+    let [task, error, own, peer, times, ratio] = cells(claim);
+    (format!("{task}, both within {error}"), format!("freerig {own}; {peer}; {times}: {ratio} times"))
+}
+
 fn row(row: &BenchRow) -> [String; 5] {
     let of = |value: Option<f64>, show: fn(f64) -> String| value.map_or(String::new(), show);
     let failed = if row.failed { "FAILED" } else { "" };

@@ -121,7 +121,7 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
 
 fn text(suite: &BenchSuite, page: &str) -> String {
     let table = suite.table.clone().unwrap_or_else(|| rows(suite));
-    let facts: String = suite.facts.iter().map(|(name, value)| format!("- {name}: {value}\n")).collect();
+    let facts: String = suite.said().iter().map(|(name, value)| format!("- {name}: {value}\n")).collect();
     format!("## {} (SIMULATED)\n\n{table}\n\n{facts}- page: {page}\n", suite.title)
 }
 
