@@ -139,11 +139,12 @@ fn a_few_plants_are_followed() {
     let published = error(&rows, "published PI", "1 calibrated FREEs, median RMS");
     // The acceptance: 0.12 deg of 70, and five times closer than the published gains.
     assert!(model < 0.12 / 70.0 && model < 0.2 * published, "{model} {published}");
-    // A shorter tick is no worse; cyclictest is missing here, and named.
-    let pace = |ms: u32| {
-        error(&rows, "model", &format!("1 calibrated FREEs, tick of {ms} ms, median RMS; processor time a second"))
-    };
-    assert!(pace(2) < 0.12 / 70.0 && pace(1) < pace(16), "{} {}", pace(2), pace(16));
+    // The devices' own periods (10 and 16 ms) bound the error, not the tick: every one meets the acceptance.
+    for ms in [1, 2, 4, 8, 16] {
+        let case = format!("1 calibrated FREEs, tick of {ms} ms, median RMS; processor time a second");
+        assert!(error(&rows, "model", &case) < 0.12 / 70.0, "{ms} ms");
+    }
+    // cyclictest and python-control are missing here, and named.
     for (peer, remedy) in [("cyclictest", "rt-tests"), ("python-control", "pip install control")] {
         let found: Vec<_> = rows.iter().filter(|r| r["method"] == peer).collect();
         assert!(found.len() == 1 && found[0]["case"].as_str().unwrap().contains(remedy), "{found:?}");
