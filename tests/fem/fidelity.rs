@@ -1,8 +1,9 @@
-//! What the tiers of the ladder leave out, each against the one that has it.
+//! What the tiers of the ladder leave out, each against the one that has it, and whether `auto` says so.
 
 use freerig::fem::ends::Ends;
+use freerig::fem::fidelity::{Hold, Scene, choose};
 use freerig::fem::linear::LinearSection;
-use freerig::fem::measure::difference;
+use freerig::fem::measure;
 use freerig::fem::section::{Mesh, Section};
 use freerig::fem::tube::Tube;
 use freerig::units::PASCAL_PER_PSI as PSI;
@@ -17,7 +18,7 @@ fn the_linear_law_is_the_smeared_section_to_first_order_in_the_pressure() {
         for ends in [Ends::FREE, Ends::BLOCKED] {
             let at = |psi: f64| {
                 let (linear, exact) = (law.solve(psi * PSI, ends), section.solve(psi * PSI, ends).unwrap());
-                difference(&tube, ends, &[((&linear).into(), (&exact).into())])
+                measure::difference(&tube, ends, &[((&linear).into(), (&exact).into())])
             };
             let [whole, half] = [0.1, 0.05].map(at);
             println!("{degrees} deg: {half:.2e} at 0.05 psi, {whole:.2e} at 0.1 psi");
@@ -38,4 +39,14 @@ fn smeared_fibres_turn_too_far_by_what_physics_says_of_them() {
         let more = 100.0 * (twist(Section::smeared(&tube, 4).unwrap()) / strips - 1.0);
         assert!((more - percent).abs() < 0.06, "{degrees}: {more} %");
     }
+}
+
+#[test]
+fn outside_of_the_certified_range_the_choice_says_so() {
+    // Suction is.
+    let tube = Tube::reference(40f64.to_radians());
+    let scene = Scene { tube, length: 0.13, hold: Hold::Free, pressures: vec![-0.1 * PSI] };
+    let choice = choose(&scene, 0.2, &mut |_| {}).unwrap();
+    assert!(!choice.inside && choice.considered.iter().all(|tier| !tier.certified));
+    assert!(choice.reason(0.2).ends_with("outside of the certified range"), "{}", choice.reason(0.2));
 }
