@@ -121,7 +121,7 @@ fn tell(orders: &Path, pressure: f64) -> std::io::Result<()> {
 }
 
 /// Moves bytes between the emulator's serial port and the line until one of them ends. What the line has for the machine
-/// is looked for every millisecond: that clock wakes nobody.
+/// is looked for as often as the time is asked: that clock wakes nobody.
 fn serve_line(serial: &Path, line: &Arc<Mutex<SerialLine>>, clock: &Clock, pace: &Pace) -> std::io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
@@ -146,7 +146,7 @@ fn serve_line(serial: &Path, line: &Arc<Mutex<SerialLine>>, clock: &Clock, pace:
                     }
                     port.write_all(&got[..count]).await?;
                 }
-                () = tokio::time::sleep(Duration::from_millis(1)) => {}
+                () = tokio::time::sleep(pace::STEP) => {}
             }
         }
     })

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use freerig::clock::{Stepper, Time};
 
 /// Between two questions.
-const STEP: Duration = Duration::from_millis(1);
+pub const STEP: Duration = Duration::from_millis(2);
 /// Frequency of the timer, Hz, and its range (ACPI specification, 4.8.3.3).
 const FREQUENCY: u64 = 3_579_545;
 const RANGE: u64 = 1 << 24;
