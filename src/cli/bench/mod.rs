@@ -8,6 +8,7 @@ mod control;
 mod deck;
 mod faults;
 mod fem;
+mod fidelity;
 mod identification;
 mod locus;
 mod lumped;
@@ -52,6 +53,9 @@ pub struct Args {
     /// Every tier of the finite elements against the finest section
     #[arg(long)]
     fem: bool,
+    /// What the automatic choice of the model says its error is, and what it really is; makes the certified range's table
+    #[arg(long)]
+    fidelity: bool,
     /// Rods with known answers, over the resolution
     #[arg(long)]
     rods: bool,
@@ -67,8 +71,8 @@ pub struct Args {
     /// Every fault of the matrix on the simulated rig of rig.toml: how soon it is seen, how soon the pressure is gone
     #[arg(long)]
     faults: bool,
-    /// FREEs, plants and geometries of the studies (200 by default, of the finite elements 40), repetitions of each
-    /// fault (50 by default)
+    /// FREEs, plants, geometries and scenes of the studies (200 by default, of the finite elements 40, of the choice of
+    /// the model 300), repetitions of each fault (50 by default)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     count: Option<u64>,
 }
@@ -84,9 +88,10 @@ type Suite = fn(&Size<'_>) -> Result<BenchSuite, Failure>;
 type Asked = fn(&Args) -> bool;
 
 /// Every suite and its count where none is given, in the order of a run without any flag.
-const SUITES: [(Asked, Suite, u64); 8] = [
+const SUITES: [(Asked, Suite, u64); 9] = [
     (|args| args.lumped, lumped::run, 1),
     (|args| args.fem, fem::run, 40),
+    (|args| args.fidelity, fidelity::run, 300),
     (|args| args.rods, rods::run, 1),
     (|args| args.module, module::run, 1),
     (|args| args.identification, identification::run, 200),

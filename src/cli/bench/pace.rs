@@ -142,7 +142,7 @@ fn wakeups(config: Realtime, rows: &mut Vec<BenchRow>, facts: &mut Vec<(String, 
     let mut told = format!("p50 {} us, p99 {} us, {rights}", us(50.0), us(99.0));
     match found.pairs {
         Err(error) => {
-            let case = format!("not run: {error}; apt install rt-tests");
+            let case = format!("not run: {error}");
             rows.push(BenchRow { failed: false, ..row(SUITE, "cyclictest", case, None, None) });
         }
         Ok(pairs) => {
