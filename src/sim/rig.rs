@@ -16,7 +16,7 @@ use rand_pcg::Pcg64;
 
 use super::chips::{
     Ads1115Chip, AlicatChip, Bno055Chip, Bno055Sim, Mcp4728Chip, MemoryStream, Mischief, Orientation, Promote, Pty,
-    SerialLine, SimI2c,
+    PwmChip, SerialLine, SimI2c,
 };
 use super::plant::SCATTER_CUT;
 use super::{AnalogueSim, BenchConfig, Plant};
@@ -78,7 +78,7 @@ impl SimRig {
             rig.buses.push((bus, clock));
         }
         for (index, wiring) in wiring.serial.iter().enumerate() {
-            let line = rig.line_of(wiring, bench.seed.wrapping_add(index as u64));
+            let line = rig.line_of(bench, wiring, bench.seed.wrapping_add(index as u64));
             rig.lines.push(line);
         }
         rig
@@ -143,12 +143,19 @@ impl SimRig {
         }
     }
 
-    fn line_of(&mut self, wiring: &SerialWiring, seed: u64) -> Arc<Mutex<SerialLine>> {
+    fn line_of(&mut self, bench: &BenchConfig, wiring: &SerialWiring, seed: u64) -> Arc<Mutex<SerialLine>> {
         let mut line = SerialLine::new(wiring.baud, seed);
         for unit in &wiring.units {
             let mischief = line.attach(AlicatChip::new(*unit, self.plant()));
             let devices = if unit.gauge { &mut self.sensors } else { &mut self.regulators };
             devices.insert(unit.free, mischief);
+        }
+        for pwm in &wiring.pwms {
+            let free = pwm.channel.free;
+            if let Some(input) = Self::analogue(bench, free) {
+                let mischief = line.attach(PwmChip::new(pwm.id, free, input, self.plant()));
+                self.regulators.insert(free, mischief);
+            }
         }
         Arc::new(Mutex::new(line))
     }
