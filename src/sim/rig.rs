@@ -2,14 +2,13 @@
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
-use std::f64::consts::PI;
 use std::io;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use embedded_hal::digital;
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
@@ -24,6 +23,7 @@ use crate::clock::Clock;
 use crate::hardware::HardwareError;
 use crate::hardware::gpio::{Contact, GpioValve, OpenPin};
 use crate::hardware::wiring::{AdcWiring, DacWiring, ImuWiring, SerialWiring, Wiring};
+use crate::plan::observer::mounting;
 
 /// The buses run at the Linux default.
 const I2C_HERTZ: u32 = 100_000;
@@ -88,9 +88,7 @@ impl SimRig {
         let Some(&free) = wiring.frees.first() else { return };
         let axis = axes.get(free).copied().unwrap_or([0.0, 0.0, 1.0]);
         let plant = self.plant();
-        // Opposite directions have no short way: about x then.
-        let turn = UnitQuaternion::rotation_between(&Vector3::z(), &Vector3::from(axis))
-            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
+        let turn = mounting(axis);
         let motion = move |time| {
             let motion = plant.lock().unwrap_or_else(PoisonError::into_inner).orientation(free, time);
             // The sensor's frame has the FREE's z along `axis`, turned there the short way.
