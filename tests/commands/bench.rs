@@ -85,6 +85,22 @@ fn the_tiers_of_the_finite_elements_stand_in_their_order() {
 }
 
 #[test]
+fn the_choice_of_the_model_is_judged_and_its_table_made() {
+    let (rows, folder) = bench("fidelity", "2");
+    for method in ["auto", "linear", "nonlinear", "section", "solid"] {
+        assert!(error(&rows, method, "2 scenes, true error, median") < 20.0, "{method}");
+    }
+    let share = |what: &str| error(&rows, "auto", &format!("2 choices, share of true errors above the {what}"));
+    assert_eq!((share("estimate"), share("tolerance")), (0.0, 0.0));
+    let table = std::fs::read_to_string(folder.path().join("runs/certified.csv")).unwrap();
+    let stored = include_str!("../../src/fem/fidelity/certified.csv");
+    // A line that says where it comes from, the names, and every bucket.
+    assert!(table.starts_with("# `freerig bench --fidelity`, version"), "{table}");
+    assert_eq!(table.lines().count(), stored.lines().count());
+    assert_eq!(table.lines().nth(1), stored.lines().nth(1));
+}
+
+#[test]
 fn a_few_frees_are_identified() {
     let (rows, _) = bench("identification", "10");
     // The acceptance's limits hold for medians of 200; ten have three times their scatter at most.

@@ -65,6 +65,32 @@ fn the_section_answers_under_the_contracts_keys_and_names_the_limit() {
 }
 
 #[test]
+fn a_fold_of_some_meshes_is_told_and_covered_by_the_error() {
+    let folder = place();
+    let free = [&["model", "single", "--gamma", "60deg"], &FREE[2..], &["--ends", "blocked"]].concat();
+    let at = |pressure: &str, more: &[&str]| {
+        let flags = ["--fidelity", "section", "--pressure", pressure];
+        freerig(folder.path(), &[&free[..], &flags, more].concat())
+    };
+    // Level 2 of the reference FREE folds at 6.3 to 6.4 psi, level 1 at 10 psi and a blunt mesh not before: 7 psi is
+    // answered, and with what a fold may take as its least error.
+    let answer = json(&at("4psi,7psi", &["--json"]));
+    assert!(answer["points"][1]["converged"] == true && answer["limit_pressure_pa"].is_null(), "{answer}");
+    assert!(answer["discretisation_error_estimate"].as_f64().unwrap() >= 0.01, "{answer}");
+    let output = at("4psi,7psi", &[]);
+    let text = String::from_utf8_lossy(&output.stdout);
+    let note =
+        text.lines().find(|line| line.starts_with("note: beyond 4.00 psi the rubber folds")).unwrap_or_else(|| {
+            panic!("{text}");
+        });
+    for words in ["not up to 7.00 psi on the blunt one", "at 6.3", "on the fine mesh", "a property of the mesh"] {
+        assert!(note.contains(words), "{words}: {note}");
+    }
+    // Below it there is nothing to say.
+    assert!(!String::from_utf8_lossy(&at("2psi,4psi", &[]).stdout).contains("folds"));
+}
+
+#[test]
 fn auto_says_what_it_chose_and_why_and_a_curve_is_drawn() {
     let folder = place();
     let args = [&["model", "single"], &FREE[..], &["--pressure", "0.1psi", "--tolerance", "20%", "--json"]];

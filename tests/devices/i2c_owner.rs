@@ -253,6 +253,18 @@ fn a_short_interruption_of_the_imu_costs_readings_and_nothing_else() {
 }
 
 #[test]
+fn an_imu_that_fails_for_longer_is_set_up_anew_before_it_is_lost() {
+    let mut rig = Rig::start();
+    rig.imu_chip.always(Misbehaviour::Nak);
+    rig.run(ms(300), |_, _, _| {});
+    rig.imu_chip.stop();
+    rig.run(ms(1000), |_, imu, _| assert_ne!(imu.health, ImuHealth::Lost));
+    assert_eq!(rig.imu[0].read().health, ImuHealth::Good);
+    let [_, imu] = rig.statistics();
+    assert_eq!([imu.resets.get(), imu.losses.get(), imu.connects.get()], [0, 0, 2], "set up by the ladder");
+}
+
+#[test]
 fn a_reset_of_the_imu_is_cured_while_the_dac_keeps_its_pace() {
     let mut rig = Rig::start();
     rig.setpoint = 10_000.0;

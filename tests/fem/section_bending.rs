@@ -26,6 +26,7 @@ const TWO_BY_SIX: Mesh = Mesh::Counted { radial: 2, strip: 1, gap: 3, growth: 1.
 fn line_fibres_on_two_by_six_agree_with_the_reference() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/reference/bending.csv");
     let text = std::fs::read_to_string(path).unwrap();
+    assert_eq!(text.lines().count(), 4, "three rows below their names");
     for line in text.lines().skip(1) {
         let row: Vec<f64> = line.split(',').map(|field| field.parse().unwrap()).collect();
         let tube = Tube { fiber_width: 0.0, ..Tube::reference(row[0].to_radians()) };

@@ -88,6 +88,7 @@ fn strips_at_mid_length_are_the_long_tube() {
         let mut solid = Solid::new(&tube, 0.05, &Mesh::sector(&tube), None).unwrap();
         let pressures = [1.0, 5.0].map(|psi| psi * PASCAL_PER_PSI);
         let path = solid.follow(&Tip::straight(Ends::FREE), &pressures, &mut |_| {}).unwrap();
+        assert_eq!(path.end, PathEnd::Reached);
         for (state, psi) in path.states.iter().zip([1.0, 5.0]) {
             let rows = table(name);
             let row = rows.iter().find(|r| number(r, 1) == degrees && number(r, 2) == psi).unwrap();
@@ -148,6 +149,7 @@ fn a_blocked_tube_of_60_degrees_loses_its_straightness_between_4_and_5_psi() {
     let tube = line(60.0);
     let path = follow(&tube, &Mesh::whole(&tube), &Tip::straight(Ends::BLOCKED), &[4.0, 5.0]);
     let rows = table("blocked_buckling.csv");
+    assert_eq!((rows.len(), path.states.len()), (5, 2));
     for (state, row) in path.states.iter().zip(&rows[3..]) {
         assert_eq!(state.stable(), row[5] == "1", "{row:?}");
         assert!((state.force / number(row, 3) - 1.0).abs() < 0.05, "{} {row:?}", state.force);

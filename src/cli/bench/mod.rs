@@ -7,6 +7,7 @@ mod control;
 mod deck;
 mod faults;
 mod fem;
+mod fidelity;
 mod identification;
 mod lumped;
 
@@ -40,6 +41,9 @@ pub struct Args {
     /// Every tier of the finite elements against the finest section
     #[arg(long)]
     fem: bool,
+    /// What the automatic choice of the model says its error is, and what it really is; makes the certified range's table
+    #[arg(long)]
+    fidelity: bool,
     /// Ring-down fits of FREEs that are not known, against log decrement and curve fit
     #[arg(long)]
     identification: bool,
@@ -49,7 +53,7 @@ pub struct Args {
     /// Every fault of the matrix on the simulated rig of rig.toml: how soon it is seen, how soon the pressure is gone
     #[arg(long)]
     faults: bool,
-    /// FREEs, plants and geometries of the studies (200 by default, of the finite elements 40), repetitions of each
+    /// FREEs, plants and geometries of the studies (200 by default, of the finite elements 40, of the choice of the model 300 scenes), repetitions of each
     /// fault (50 by default)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     count: Option<u64>,
@@ -66,9 +70,10 @@ type Suite = fn(&Size<'_>) -> Result<BenchSuite, Failure>;
 type Asked = fn(&Args) -> bool;
 
 /// Every suite and its count where none is given, in the order of a run without any flag.
-const SUITES: [(Asked, Suite, u64); 5] = [
+const SUITES: [(Asked, Suite, u64); 6] = [
     (|args| args.lumped, lumped::run, 1),
     (|args| args.fem, fem::run, 40),
+    (|args| args.fidelity, fidelity::run, 300),
     (|args| args.identification, identification::run, 200),
     (|args| args.control, control::run, 200),
     (|args| args.faults, faults::run, 50),

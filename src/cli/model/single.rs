@@ -105,6 +105,7 @@ struct Point {
 struct Estimate {
     fidelity: &'static str,
     error_estimate: Option<f64>,
+    certified: bool,
 }
 
 #[derive(Debug, Serialize)]
@@ -241,7 +242,7 @@ fn point(point: &fidelity::Point) -> Point {
 
 fn estimate(considered: &Considered) -> Estimate {
     let error_estimate = Some(considered.estimate).filter(|e| e.is_finite());
-    Estimate { fidelity: considered.fidelity.name(), error_estimate }
+    Estimate { fidelity: considered.fidelity.name(), error_estimate, certified: considered.certified }
 }
 
 /// Draws the answer; answers the page's path.

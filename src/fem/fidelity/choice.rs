@@ -1,5 +1,9 @@
 //! `auto`: the cheapest tier whose estimated error is within the tolerance.
+//!
+//! Inside the [certified range](super::certified) the linear law and the section are taken at the table's word, which
+//! costs nothing; what the table cannot promise, and everything outside, is estimated against the dearer tiers.
 
+use super::certified::bounds;
 use super::tiers::{ask, end_effects, section};
 use super::{Answer, Fidelity, FidelityError, Scene, difference};
 
@@ -9,6 +13,8 @@ const TOLERANCES: (f64, f64) = (5e-4, 0.5);
 const SHARE: f64 = 0.25;
 /// Finest relative error that a section's mesh is asked for.
 const FINEST: f64 = 1e-4;
+/// Coarsest relative error that is asked of a section whose ends are certified: as of one that is asked for by name.
+const MESH: f64 = 5e-3;
 
 /// A tier that was looked at.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -17,6 +23,8 @@ pub struct Considered {
     pub fidelity: Fidelity,
     /// Estimated relative error, model and discretisation together.
     pub estimate: f64,
+    /// Whether the model's part is the certified range's, not one against a dearer tier.
+    pub certified: bool,
 }
 
 /// What was chosen, and why.
@@ -28,15 +36,19 @@ pub struct Choice {
     pub model_error: Option<f64>,
     /// Every tier that was looked at, from the cheapest on; the last one is the one chosen.
     pub considered: Vec<Considered>,
+    /// Whether the scene lies in the certified range.
+    pub inside: bool,
 }
 
 impl Choice {
     /// Why, in a sentence.
     pub fn reason(&self, tolerance: f64) -> String {
         let percent = |x: f64| if x.is_finite() { format!("{:.2} %", 100.0 * x) } else { "no equilibrium".into() };
-        let tier = |c: &Considered| format!("{} {}", c.fidelity.name(), percent(c.estimate));
+        let known = |certified: bool| if certified { " (certified)" } else { "" };
+        let tier = |c: &Considered| format!("{} {}{}", c.fidelity.name(), percent(c.estimate), known(c.certified));
         let list = self.considered.iter().map(tier).collect::<Vec<_>>().join(", ");
-        format!("the cheapest within {}; estimated errors: {list}", percent(tolerance))
+        let outside = if self.inside { "" } else { "; outside of the certified range" };
+        format!("the cheapest within {}; estimated errors: {list}{outside}", percent(tolerance))
     }
 }
 
@@ -53,8 +65,26 @@ pub fn choose(scene: &Scene, tolerance: f64, progress: &mut dyn FnMut(f64)) -> R
     if scene.tube.fiber_width == 0.0 {
         return Err(FidelityError::Line);
     }
+    let known = bounds(scene);
+    let inside = known.is_some();
+    if let Some(bounds) = known {
+        let linear = Considered { fidelity: Fidelity::Linear, estimate: bounds.linear, certified: true };
+        if bounds.linear <= tolerance {
+            let answer = ask(scene, Fidelity::Linear, progress)?;
+            return Ok(Choice { answer, model_error: Some(bounds.linear), considered: vec![linear], inside });
+        }
+        if bounds.section + FINEST < tolerance {
+            let answer = section(scene, (tolerance - bounds.section).min(MESH))?;
+            let estimate = bounds.section + answer.discretisation_error;
+            if estimate <= tolerance && answer.points.iter().all(|point| point.rest.is_some()) {
+                let considered = vec![linear, Considered { fidelity: Fidelity::Section, estimate, certified: true }];
+                return Ok(Choice { answer, model_error: Some(bounds.section), considered, inside });
+            }
+        }
+    }
     let reference = section(scene, SHARE * tolerance)?;
     let mut considered = Vec::new();
+    let estimated = |fidelity, estimate| Considered { fidelity, estimate, certified: false };
     // The ends cost a solid: they are looked at once a tier is good enough without them.
     let mut ends = None;
     let mut ends = || match ends {
@@ -67,9 +97,9 @@ pub fn choose(scene: &Scene, tolerance: f64, progress: &mut dyn FnMut(f64)) -> R
         if model <= tolerance {
             model += ends()?;
         }
-        considered.push(Considered { fidelity, estimate: model });
+        considered.push(estimated(fidelity, model));
         if model <= tolerance {
-            return Ok(Choice { answer, model_error: Some(model), considered });
+            return Ok(Choice { answer, model_error: Some(model), considered, inside });
         }
     }
     let model = ends()?;
@@ -78,15 +108,15 @@ pub fn choose(scene: &Scene, tolerance: f64, progress: &mut dyn FnMut(f64)) -> R
         answer = section(scene, 0.8 * (tolerance - model).max(1.25 * FINEST))?;
     }
     let estimate = model + answer.discretisation_error;
-    considered.push(Considered { fidelity: Fidelity::Section, estimate });
+    considered.push(estimated(Fidelity::Section, estimate));
     if estimate <= tolerance {
-        return Ok(Choice { answer, model_error: Some(model), considered });
+        return Ok(Choice { answer, model_error: Some(model), considered, inside });
     }
     let answer = ask(scene, Fidelity::Solid, progress)?;
     let estimate = answer.discretisation_error;
-    considered.push(Considered { fidelity: Fidelity::Solid, estimate });
+    considered.push(estimated(Fidelity::Solid, estimate));
     if estimate <= tolerance {
-        Ok(Choice { answer, model_error: None, considered })
+        Ok(Choice { answer, model_error: None, considered, inside })
     } else {
         Err(FidelityError::NotReached { estimate, tolerance })
     }

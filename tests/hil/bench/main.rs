@@ -1,11 +1,12 @@
-//! The bench of the hardware-in-the-loop test, outside the emulator: freerig's simulated chips and plant, in real time,
-//! behind an emulated USB adapter for the I2C bus and an emulated serial port.
+//! The bench of the hardware-in-the-loop test, outside the emulator: freerig's simulated chips and plant, in the emulated
+//! machine's time, behind an emulated USB adapter for the I2C bus and an emulated serial port.
 //!
-//! `hil-bench RIG USB SERIAL ORDERS`: the rig file, the emulator's two sockets, and a folder. A file `unplug` there pulls
+//! `hil-bench RIG USB SERIAL MONITOR ORDERS`: the rig file, the emulator's three sockets, and a folder. A file `unplug` there pulls
 //! the adapter's plug, a file `plug` puts it in again; each goes when it has been done. The file `truth` there says the
 //! first FREE's true pressure in Pa, ten times a second. It ends with its standard input.
 
 mod adapter;
+mod pace;
 mod redir;
 
 use std::error::Error;
@@ -17,10 +18,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{sleep, spawn};
 use std::time::Duration;
 
-use freerig::clock::Clock;
+use freerig::clock::{Clock, Stepper};
 use freerig::config::Rig;
 use freerig::sim::SimRig;
-use freerig::sim::chips::SerialLine;
+use freerig::sim::chips::{MemoryStream, SerialLine};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+use pace::Pace;
 
 /// Pace of everything that is waited for.
 const PACE: Duration = Duration::from_millis(100);
@@ -34,14 +38,18 @@ struct Plug {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let paths: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
-    let [rig, usb, serial, orders] = &paths[..] else { return Err("usage: hil-bench RIG USB SERIAL ORDERS".into()) };
+    let [rig, usb, serial, monitor, orders] = &paths[..] else {
+        return Err("usage: hil-bench RIG USB SERIAL MONITOR ORDERS".into());
+    };
     let rig = Rig::load(rig)?;
     let axes: Vec<_> = rig.control.frees.iter().map(|f| f.imu.map_or([0.0, 0.0, 1.0], |imu| imu.axis)).collect();
-    let clock = Clock::Live;
+    let stepper = Stepper::new();
+    let clock = stepper.clock();
     let sim = SimRig::new(&rig.bench, &rig.wiring, &axes, &clock);
     let (bus, _) = sim.i2c(0).ok_or("the rig has no I2C bus")?;
     let line = Arc::clone(sim.line(0).ok_or("the rig has no serial line")?);
     let plug = Arc::new(Mutex::new(Plug::default()));
+    let pace = Pace::new(monitor, stepper);
 
     spawn({
         let (usb, plug) = (usb.clone(), Arc::clone(&plug));
@@ -56,10 +64,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     });
     spawn({
-        let serial = serial.clone();
+        let (serial, clock, pace) = (serial.clone(), clock.fork(), pace.clone());
         move || {
             loop {
-                let ended = serve_line(&serial, &line);
+                let ended = serve_line(&serial, &line, &clock, &pace);
                 eprintln!("hil-bench: the serial line's connection has ended: {ended:?}");
                 sleep(PACE);
             }
@@ -112,13 +120,34 @@ fn tell(orders: &Path, pressure: f64) -> std::io::Result<()> {
     std::fs::rename(fresh, orders.join("truth"))
 }
 
-/// Moves bytes between the emulator's serial port and the line until one of them ends.
-fn serve_line(serial: &Path, line: &Arc<Mutex<SerialLine>>) -> std::io::Result<()> {
+/// Moves bytes between the emulator's serial port and the line until one of them ends. What the line has for the machine
+/// is looked for as often as the time is asked: that clock wakes nobody.
+fn serve_line(serial: &Path, line: &Arc<Mutex<SerialLine>>, clock: &Clock, pace: &Pace) -> std::io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let mut port = tokio::net::UnixStream::connect(serial).await?;
-        let mut line = freerig::sim::chips::MemoryStream::open(line, Clock::Live)?;
-        tokio::io::copy_bidirectional(&mut port, &mut line).await?;
-        Ok(())
+        let mut line = MemoryStream::open(line, clock.fork())?;
+        let (mut sent, mut got) = ([0; 256], [0; 256]);
+        loop {
+            tokio::select! {
+                count = port.read(&mut sent) => {
+                    let count = count?;
+                    if count == 0 {
+                        return Ok(());
+                    }
+                    // A unit takes it ill when it is spoken to too soon.
+                    pace.now();
+                    line.write_all(&sent[..count]).await?;
+                }
+                count = line.read(&mut got) => {
+                    let count = count?;
+                    if count == 0 {
+                        return Ok(());
+                    }
+                    port.write_all(&got[..count]).await?;
+                }
+                () = tokio::time::sleep(pace::STEP) => {}
+            }
+        }
     })
 }

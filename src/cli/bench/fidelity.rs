@@ -1,0 +1,165 @@
+//! How honest `auto` is and what it costs, on seeded scenes whose truth is known; and the table of its certified range.
+//!
+//! Scenes and truth are those of [`crate::fem::fidelity::suite`]. The table is made of other scenes than those on which
+//! the choice is judged. `certified.csv` in the runs' folder is the one to be stored as src/fem/fidelity/certified.csv.
+
+use std::time::Instant;
+
+use super::{Size, in_parallel, quantile, row};
+use crate::cli::Failure;
+use crate::fem::fidelity::certified::{BUCKETS, Row, table};
+use crate::fem::fidelity::{Fidelity, FidelityError, Scene, ask, choose, difference, suite};
+use crate::record::{BenchRow, BenchSuite, Curve};
+
+const SUITE: &str = "fidelity";
+/// Tiers, from cheap to dear.
+const TIERS: [Fidelity; 4] = [Fidelity::Linear, Fidelity::Nonlinear, Fidelity::Section, Fidelity::Solid];
+/// First seed of the scenes that judge; those of the table begin at 0.
+const JUDGES: u64 = 1_000_000;
+/// Scenes of the table for each one that judges.
+const PER_JUDGE: u64 = 2;
+/// Share of the scenes whose error may be above the estimate.
+const MISSES: f64 = 0.05;
+/// Half the length of a point's dash in the drawing, decades.
+const DASH: f64 = 0.012;
+
+/// What one scene says.
+struct Told {
+    tolerance: f64,
+    /// True error and time, s, of every tier.
+    tiers: Vec<(f64, f64)>,
+    /// Tier, estimated and true error of the choice; none where not even the solid's estimate is within the tolerance.
+    choice: Option<(Fidelity, f64, f64)>,
+    /// Time of the choice, s.
+    time: f64,
+}
+
+/// Judges the choice on `size.count` scenes, and makes the table of twice as many.
+pub(super) fn run(size: &Size) -> Result<BenchSuite, Failure> {
+    let start = Instant::now();
+    let count = size.count;
+    let all = in_parallel("scenes", "scenes", count, |k| told(JUDGES + k));
+    let told: Vec<Told> = all.into_iter().collect::<Result<Vec<_>, Failure>>()?.into_iter().flatten().collect();
+    let mut facts = vec![("scenes".into(), format!("{} of {count}; the others end below their pressure", told.len()))];
+    let (mut rows, mut curves) = (Vec::new(), Vec::new());
+    judge(&told, &mut rows, &mut facts);
+    draw(&told, &mut curves);
+    let made = certify(PER_JUDGE * count)?;
+    std::fs::create_dir_all(&size.rig.record.directory)?;
+    let path = size.rig.record.directory.join("certified.csv");
+    std::fs::write(&path, made)?;
+    facts.push(("table of the certified range".into(), path.display().to_string()));
+    facts.push(("wall time".into(), format!("{:.1} s", start.elapsed().as_secs_f64())));
+    Ok(BenchSuite {
+        name: SUITE,
+        title: "Choice of the model: estimated against true error, and cost",
+        facts,
+        rows,
+        table: None,
+        caption: "Estimated over true error of what `auto` chose; below the line the estimate is too small",
+        x_label: "log10 of the true relative error",
+        y_label: "log10 of the estimated one",
+        curves,
+    })
+}
+
+/// None where the scene has no truth.
+fn told(seed: u64) -> Result<Option<Told>, Failure> {
+    let (scene, tolerance) = Scene::seeded(seed);
+    let Some(truth) = suite::truth(&scene)? else { return Ok(None) };
+    let timed = |tier: Fidelity| -> Result<(f64, f64), Failure> {
+        let begun = Instant::now();
+        let answer = ask(&scene, tier, &mut |_| {})?;
+        let time = begun.elapsed().as_secs_f64();
+        Ok((difference(&answer.points, &truth, &scene), time))
+    };
+    let tiers = TIERS.into_iter().map(timed).collect::<Result<_, _>>()?;
+    let begun = Instant::now();
+    let chosen = choose(&scene, tolerance, &mut |_| {});
+    let time = begun.elapsed().as_secs_f64();
+    let choice = match chosen {
+        Ok(choice) => {
+            let estimate = choice.considered.last().map_or(f64::INFINITY, |last| last.estimate);
+            Some((choice.answer.fidelity, estimate, difference(&choice.answer.points, &truth, &scene)))
+        }
+        Err(FidelityError::NotReached { .. }) => None,
+        Err(error) => return Err(error.into()),
+    };
+    Ok(Some(Told { tolerance, tiers, choice, time }))
+}
+
+fn judge(told: &[Told], rows: &mut Vec<BenchRow>, facts: &mut Vec<(String, String)>) {
+    let count = told.len();
+    let chosen: Vec<_> = told.iter().filter_map(|t| t.choice.map(|choice| (t, choice))).collect();
+    let share = |misses: usize| misses as f64 / chosen.len().max(1) as f64;
+    let above = share(chosen.iter().filter(|(_, (_, estimate, error))| error > estimate).count());
+    let outside = share(chosen.iter().filter(|(t, (_, _, error))| *error > t.tolerance).count());
+    for (what, misses) in [("the estimate", above), ("the tolerance", outside)] {
+        let case = format!("{} choices, share of true errors above {what}", chosen.len());
+        rows.push(BenchRow { failed: misses > MISSES, ..row(SUITE, "auto", case, Some(misses), None) });
+    }
+    let mut quantiles = |method: &str, errors: &[f64], times: &[f64]| {
+        for (name, part) in [("median", 0.5), ("worst", 1.0)] {
+            let case = format!("{count} scenes, true error, {name}");
+            rows.push(row(
+                SUITE,
+                method,
+                case,
+                quantile(errors, part).filter(|e| e.is_finite()),
+                quantile(times, part),
+            ));
+        }
+    };
+    let errors: Vec<f64> = chosen.iter().map(|(_, (_, _, error))| *error).collect();
+    quantiles("auto", &errors, &told.iter().map(|t| t.time).collect::<Vec<_>>());
+    for (k, tier) in TIERS.into_iter().enumerate() {
+        let of = |part: fn((f64, f64)) -> f64| told.iter().map(|t| part(t.tiers[k])).collect::<Vec<_>>();
+        quantiles(tier.name(), &of(|t| t.0), &of(|t| t.1));
+    }
+    let picked = TIERS
+        .map(|tier| format!("{} {}", tier.name(), chosen.iter().filter(|(_, (chosen, ..))| *chosen == tier).count()));
+    facts.push(("chosen".into(), format!("{}, none {}", picked.join(", "), count - chosen.len())));
+    let of = |values: &[f64]| {
+        let at = |part| quantile(values, part).map_or("-".into(), |x| format!("{x:.2}"));
+        format!("5 % {}, median {}, 95 % {}", at(0.05), at(0.5), at(0.95))
+    };
+    let effectivities: Vec<f64> = chosen.iter().map(|(_, (_, estimate, error))| estimate / error).collect();
+    facts.push(("estimated over true error".into(), of(&effectivities)));
+    let needed = |t: &Told| t.tiers.iter().find(|(error, _)| *error <= t.tolerance).map(|(_, time)| *time);
+    let over: Vec<f64> = told.iter().filter_map(|t| Some(t.time / needed(t)?)).collect();
+    facts.push(("time over that of the cheapest tier that meets the tolerance".into(), of(&over)));
+    let under: Vec<f64> = told.iter().map(|t| t.tiers[TIERS.len() - 1].1 / t.time).collect();
+    facts.push(("time of always taking the solid over it".into(), of(&under)));
+}
+
+/// A dash for every choice, by its tier, and the line on which estimate and truth agree.
+fn draw(told: &[Told], curves: &mut Vec<Curve>) {
+    let (low, high) = (-4.0, 0.0);
+    curves.push(("estimated = true".into(), vec![low, high], vec![low, high]));
+    for tier in TIERS {
+        let (mut x, mut y) = (Vec::new(), Vec::new());
+        for (_, estimate, error) in told.iter().filter_map(|t| t.choice).filter(|choice| choice.0 == tier) {
+            let (error, estimate) = (error.log10().clamp(low, high), estimate.log10().clamp(low, high));
+            x.extend([error - DASH, error + DASH, error + DASH]);
+            y.extend([estimate, estimate, f64::NAN]);
+        }
+        if !x.is_empty() {
+            curves.push((tier.name().into(), x, y));
+        }
+    }
+}
+
+/// The table of `count` scenes.
+fn certify(count: u64) -> Result<String, Failure> {
+    let one = |seed| suite::errors(&Scene::seeded(seed).0);
+    let found = in_parallel("certified range", "scenes", count, one).into_iter().collect::<Result<Vec<_>, _>>()?;
+    let rows: Vec<Option<Row>> = (0..BUCKETS)
+        .map(|bucket| {
+            let seeds = (0..count).skip(bucket).step_by(BUCKETS);
+            Row::of(&seeds.map(|seed| (found[seed as usize], seed)).collect::<Vec<_>>())
+        })
+        .collect();
+    let now = jiff::Zoned::now().date();
+    let version = env!("CARGO_PKG_VERSION");
+    Ok(table(&format!("`freerig bench --fidelity`, version {version}, {now}: seeds 0 to {}", count - 1), &rows))
+}

@@ -1,0 +1,177 @@
+//! Seeded scenes, and what the cheap tiers are really off by in them.
+//!
+//! Without units a scene is its winding angle, wall, fibres (number, cover, stiffness), rubber's exponent, length and
+//! pressure. All are drawn evenly over the [`RANGES`] (those that are ratios, over their logarithm), the winding angle
+//! and the pressure over a [bucket](super::certified) that the seed chooses: every bucket is met equally often.
+//!
+//! The truth is put together from the two models that are exact where they are fine enough: the long tube on the
+//! section's finest mesh that has not folded, and what the ends add, from a solid. Of a free tube that is the whole's
+//! mean motion less the motion at mid-length, in which the error that its elements make across the tube cancels. Of a
+//! blocked one, the middle stretches and turns a little between ends that do not: the force is that of the section held
+//! at the stretch and twist of the solid's middle.
+
+use std::f64::consts::PI;
+use std::ops::Range;
+
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use super::certified::Bucket;
+use super::{Fidelity, FidelityError, Hold, Point, Rest, Scene, ask, difference};
+use crate::fem::ends::{End, Ends, Equilibrium};
+use crate::fem::material::Law;
+use crate::fem::section::{Mesh, Section, SectionError};
+use crate::fem::solid::{self, Solid, SolidEquilibrium, Tip};
+use crate::fem::tube::Tube;
+
+/// Section levels from which the truth and the table's far field are taken: the first one that has not folded.
+const FINE: [usize; 3] = [4, 3, 2];
+const USUAL: [usize; 2] = [2, 1];
+
+/// Ranges of a scene's ratios.
+pub(super) struct Ranges {
+    /// Wall over inner radius.
+    pub wall: Range<f64>,
+    /// Number of fibres.
+    pub fibers: Range<usize>,
+    /// Part of the circumference under the fibres.
+    pub cover: Range<f64>,
+    /// EA of a fibre over mu Ro^2: 53 of the reference FREE.
+    pub stiffness: Range<f64>,
+    /// Exponent of Ogden's law.
+    pub alpha: Range<f64>,
+    /// Length over outer radius.
+    pub length: Range<f64>,
+}
+
+/// See [`Ranges`].
+pub(super) const RANGES: Ranges = Ranges {
+    wall: 0.1..0.33,
+    fibers: 3..13,
+    cover: 0.03..0.3,
+    stiffness: 15.0..300.0,
+    alpha: 0.8..3.0,
+    length: 8.0..40.0,
+};
+
+impl Scene {
+    /// The scene `seed`, at a third, two thirds and all of its pressure, and a tolerance between 0.5 and 20 %.
+    pub fn seeded(seed: u64) -> (Scene, f64) {
+        let bucket = Bucket::of_seed(seed);
+        let mut rng = Pcg64Mcg::seed_from_u64(seed);
+        let mut log = |range: Range<f64>| range.start * (range.end / range.start).powf(rng.random_range(0.0..1.0));
+        let inner_radius = log(3e-3..8e-3);
+        let wall = inner_radius * log(RANGES.wall);
+        let radius = inner_radius + wall;
+        let mu = log(0.2e6..0.8e6);
+        let fiber_ea = mu * radius * radius * log(RANGES.stiffness);
+        let length = radius * log(RANGES.length);
+        let tolerance = log(5e-3..0.2);
+        let cover = log(RANGES.cover);
+        let fibers = rng.random_range(RANGES.fibers);
+        let hand = if rng.random() { 1.0 } else { -1.0 };
+        let tube = Tube {
+            inner_radius,
+            wall,
+            gamma: hand * rng.random_range(bucket.winding.clone()).to_radians(),
+            fibers,
+            fiber_ea,
+            fiber_width: cover * 2.0 * PI * radius / fibers as f64,
+            law: Law::Ogden { mu, alpha: rng.random_range(RANGES.alpha) },
+        };
+        let pressure = rng.random_range(bucket.pressure.clone()) * mu * wall / inner_radius;
+        let pressures = [1.0, 2.0, 3.0].map(|part| part / 3.0 * pressure).to_vec();
+        (Scene { tube, length, hold: bucket.hold, pressures }, tolerance)
+    }
+}
+
+/// The true answer to `scene`; none where the path of equilibria ends below its highest pressure, or every fine mesh of
+/// the section has folded.
+///
+/// # Errors
+/// As the section and the solid.
+pub fn truth(scene: &Scene) -> Result<Option<Vec<Point>>, FidelityError> {
+    let radius = scene.tube.outer_radius();
+    let mesh = solid::Mesh { wall: 2, first: 0.03 * radius, along_growth: 1.6, ..across(&scene.tube) };
+    Ok(parts(scene, &mesh, &FINE)?.map(|parts| parts.whole))
+}
+
+/// What the linear law has more of an error than the section, and the section's own times the length over the outer
+/// radius; none as [`truth`].
+///
+/// # Errors
+/// As the section and the solid.
+pub fn errors(scene: &Scene) -> Result<Option<(f64, f64)>, FidelityError> {
+    let Some(Parts { far, whole }) = parts(scene, &across(&scene.tube), &USUAL)? else { return Ok(None) };
+    let linear = ask(scene, Fidelity::Linear, &mut |_| {})?;
+    let ends = difference(&far, &whole, scene);
+    let more = difference(&linear.points, &whole, scene) - ends;
+    Ok(Some((more, ends * scene.length / scene.tube.outer_radius())))
+}
+
+/// One element through the wall and under half of the strip, small ones at the ends: what the ends add does not need
+/// more across the tube.
+fn across(tube: &Tube) -> solid::Mesh {
+    let radius = tube.outer_radius();
+    solid::Mesh {
+        wall: 1,
+        wall_growth: 1.0,
+        around: 1,
+        around_growth: 4.0,
+        first: 0.05 * radius,
+        along_growth: 1.8,
+        largest: 2.0 * radius,
+        ..solid::Mesh::sector(tube)
+    }
+}
+
+/// A scene's answer without and with its ends.
+struct Parts {
+    far: Vec<Point>,
+    whole: Vec<Point>,
+}
+
+fn parts(scene: &Scene, mesh: &solid::Mesh, levels: &[usize]) -> Result<Option<Parts>, FidelityError> {
+    let mut solid = Solid::new(&scene.tube, scene.length, mesh, None)?;
+    let path = solid.follow(&Tip::straight(scene.hold.ends()), &scene.pressures, &mut |_| {})?;
+    if path.states.len() < scene.pressures.len() {
+        return Ok(None);
+    }
+    for &level in levels {
+        if let Some(parts) = with_ends(scene, &path.states, &Section::new(&scene.tube, Mesh::level(level))?)? {
+            return Ok(Some(parts));
+        }
+    }
+    Ok(None)
+}
+
+fn with_ends(scene: &Scene, solids: &[SolidEquilibrium], section: &Section) -> Result<Option<Parts>, FidelityError> {
+    let stable = |found: Result<Equilibrium, SectionError>| match found {
+        Ok(found) => Ok(Some(found)),
+        Err(SectionError::BeyondLimit { .. } | SectionError::PathEnds { .. }) => Ok(None),
+        Err(error) => Err(FidelityError::from(error)),
+    };
+    let mut state = section.rest()?;
+    let mut parts = Parts { far: Vec::new(), whole: Vec::new() };
+    for (&pressure, solid) in scene.pressures.iter().zip(solids) {
+        let Some(far) = stable(section.advance(&mut state, pressure, scene.hold.ends()))? else { return Ok(None) };
+        let far = Rest::from(&far);
+        let whole = match scene.hold {
+            Hold::Free => Rest {
+                twist: far.twist + solid.rotation / scene.length - solid.middle_twist,
+                stretch: far.stretch + solid.stretch - solid.middle_stretch,
+                ..far
+            },
+            Hold::Blocked => {
+                let middle = Ends { axial: End::Held(solid.middle_stretch), torsion: End::Held(solid.middle_twist) };
+                let Some(held) = stable(section.advance(&mut state.clone(), pressure, middle))? else {
+                    return Ok(None);
+                };
+                Rest { stretch: 1.0, twist: 0.0, ..Rest::from(&held) }
+            }
+        };
+        parts.far.push(Point { pressure, rest: Some(far) });
+        parts.whole.push(Point { pressure, rest: Some(whole) });
+    }
+    Ok(Some(parts))
+}
