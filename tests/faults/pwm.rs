@@ -2,6 +2,7 @@
 //! way of the output.
 
 use freerig::control::fault::Reaction;
+use freerig::daemon::Bench;
 use freerig::signal::FaultCode;
 use freerig::sim::chips::Misbehaviour;
 
