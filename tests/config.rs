@@ -299,6 +299,43 @@ fn two_frees_cannot_share_a_dac_channel_and_need_its_measured_map() {
 }
 
 #[test]
+fn a_pwm_output_has_its_id_on_the_line_alone_and_needs_its_measured_map() {
+    let output = |name: &str, id: &str| {
+        format!(
+            "[[free]]\nname = \"{name}\"\ncalibration = \"pwm\"\n[free.regulator]\nkind = \"pwm\"\nline = \"line\"\n\
+             unit = \"{id}\"\nfull_scale_psi = 15\n[free.limits]\nmax_pressure_psi = 8\nproof_pressure_psi = 15\n"
+        )
+    };
+    // `A` is the Alicat unit's.
+    let (_folder, path) = rig_with(|text| text + &output("one", "A") + &output("two", "c"));
+    let mut calibration = Calibration::read(&repository().join("calibration/paper.toml")).unwrap();
+    calibration.name = "pwm".into();
+    let directory = path.with_file_name("calibration");
+    calibration.write(&directory).unwrap();
+    let error = problems(&path);
+    let mut keys: Vec<_> = error.problems.iter().map(|problem| problem.key.as_str()).collect();
+    keys.sort_unstable();
+    let (one, two) = ("free.one.regulator", "free.two.regulator");
+    assert_eq!(keys, [one, &format!("{one}.unit"), two, &format!("{two}.unit")], "{error}");
+
+    let given = |value| Entry { value, method: "staircase".into(), ..Entry::default() };
+    calibration.set(&keys::ZERO_CODE, given(120.0));
+    calibration.set(&keys::PRESSURE_PER_CODE, given(25.0));
+    calibration.write(&directory).unwrap();
+    let text = fs::read_to_string(repository().join("rig.toml")).unwrap();
+    fs::write(&path, text + &output("one", "B") + &output("two", "C")).unwrap();
+    let rig = Rig::load(&path).unwrap_or_else(|error| panic!("{error}"));
+    let line = &rig.wiring.serial[0];
+    assert_eq!(line.pwms.iter().map(|pwm| (pwm.id, pwm.channel.free)).collect::<Vec<_>>(), [(b'B', 1), (b'C', 2)]);
+    assert_eq!((line.units.len(), line.pwms[0].channel.zero_code), (1, 120.0));
+    assert!(!rig.control.frees[1].regulator.measures, "an output has no pressure sensor");
+    // Three units take turns on the line, 30.5 characters each at 19200 Bd.
+    assert_eq!(rig.control.frees[1].regulator.period.as_micros(), 47_656);
+    // 3.5 idle characters and the 12 of a command.
+    assert!((rig.transport(1) - 15.5 * 10.0 / 19_200.0).abs() < 1e-9);
+}
+
+#[test]
 fn a_slew_limit_that_a_ramp_down_cannot_keep_is_a_problem_of_the_file() {
     // 10 psi at 2 psi/s take 5 s; a ramp down has 3.
     one_problem(

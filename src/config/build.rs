@@ -10,7 +10,7 @@ use super::sections::{RawRig, duration};
 use crate::control::{ControlConfig, ControllerKind, FreeControl, ImuChannel, ModelSpec, RegulatorChannel};
 use crate::hardware::i2c_owner::ADC_TURN;
 use crate::hardware::wiring::{
-    AdcChannel, AdcWiring, DacChannel, DacWiring, I2cWiring, ImuWiring, SerialWiring, UnitWiring, Wiring,
+    AdcChannel, AdcWiring, DacChannel, DacWiring, I2cWiring, ImuWiring, PwmWiring, SerialWiring, UnitWiring, Wiring,
 };
 use crate::sim::{AnalogueSim, BenchConfig, ImuSim, ModuleSim, PlantSim, RegulatorSim};
 
@@ -19,6 +19,8 @@ use crate::sim::{AnalogueSim, BenchConfig, ImuSim, ModuleSim, PlantSim, Regulato
 const TRANSACTION_CHARACTERS: f64 = COMMAND_CHARACTERS + 18.0;
 /// From the taking of a command until the unit knows it: the idle characters and the set-point.
 const COMMAND_CHARACTERS: f64 = 3.5 + 9.0;
+/// The same of a PWM output, `A07 0800*D3\r`; a whole exchange with one takes no longer than one with an Alicat unit.
+const PWM_COMMAND_CHARACTERS: f64 = 3.5 + 12.0;
 /// Bits of one character on the line (8N1).
 const BITS_PER_CHARACTER: f64 = 10.0;
 /// Period at which a DAC's channels are written.
@@ -141,16 +143,17 @@ impl Rig {
     }
 }
 
-/// Period at which the FREE's pressure is measured, or its regulator told where nothing measures it: every unit on its
-/// line, and every channel of its ADC, comes in between.
+/// Period at which the FREE's pressure is measured and its regulator told, the slower of the two: every unit on its
+/// lines, and every channel of its ADC, comes in between.
 fn regulator_period(raw: &RawRig, free: &RawFree) -> Duration {
-    if let Some((line, _)) = free.unit() {
-        let units = raw.frees.iter().filter(|other| other.unit().is_some_and(|(of, _)| of == line));
-        return duration(round_of(units.count(), baud(raw, line)));
-    }
-    let Some((bus, address, ..)) = adc_of(free) else { return DAC_PERIOD };
-    let channels = raw.frees.iter().filter_map(adc_of).filter(|(b, a, ..)| *b == bus && *a == address).count();
-    DAC_PERIOD.max(ADC_TURN * channels as u32)
+    let on = |line: &str| raw.frees.iter().flat_map(RawFree::units).filter(|(of, _)| *of == line).count();
+    let lines = free.units().map(|(line, _)| duration(round_of(on(line), baud(raw, line))));
+    let adc = adc_of(free).map(|(bus, address, ..)| {
+        let on = |other: &(&str, u8, usize, (f64, f64))| other.0 == bus && other.1 == address;
+        ADC_TURN * raw.frees.iter().filter_map(adc_of).filter(on).count() as u32
+    });
+    let dac = matches!(free.regulator.connection, Connection::Dac { .. }).then_some(DAC_PERIOD);
+    lines.chain(adc).chain(dac).max().unwrap_or(DAC_PERIOD)
 }
 
 /// Bus, address, channel and voltages of the ADC that measures the FREE's pressure.
@@ -165,6 +168,7 @@ fn adc_of(free: &RawFree) -> Option<(&str, u8, usize, (f64, f64))> {
 fn transport(raw: &RawRig, free: &RawFree) -> f64 {
     match &free.regulator.connection {
         Connection::Alicat { line, .. } => COMMAND_CHARACTERS * character(raw, line),
+        Connection::Pwm { line, .. } => PWM_COMMAND_CHARACTERS * character(raw, line),
         // A few bytes at 100 kHz or more.
         Connection::Dac { .. } | Connection::Unknown => 0.0,
     }
@@ -205,6 +209,7 @@ fn wiring(raw: &RawRig) -> Wiring {
                 device: line.device.clone(),
                 baud: line.baud,
                 units: units(raw, &line.name),
+                pwms: pwms(raw, &line.name),
             })
             .collect(),
         gpio: raw.gpio.clone(),
@@ -261,6 +266,16 @@ fn adcs(raw: &RawRig, bus: &str) -> Vec<AdcWiring> {
     adcs
 }
 
+fn pwms(raw: &RawRig, line: &str) -> Vec<PwmWiring> {
+    let output = |(index, free): (usize, &RawFree)| match &free.regulator.connection {
+        Connection::Pwm { line: of, id } if of == line => {
+            Some(PwmWiring { id: *id, channel: dac_channel(index, &free.calibration) })
+        }
+        _ => None,
+    };
+    raw.frees.iter().enumerate().filter_map(output).collect()
+}
+
 /// What is not known has been noted: such a channel is told zero only.
 fn dac_channel(free: usize, known: &Calibration) -> DacChannel {
     DacChannel {
@@ -272,9 +287,13 @@ fn dac_channel(free: usize, known: &Calibration) -> DacChannel {
 
 /// What the simulated analogue regulator is scattered around; its tube hangs where `[free.sim]` says.
 fn analogue(free: &RawFree) -> Option<AnalogueSim> {
-    let Connection::Dac { channel, .. } = &free.regulator.connection else { return None };
+    let channel = match free.regulator.connection {
+        Connection::Dac { channel, .. } => free.twin.dac_channel.unwrap_or(channel),
+        Connection::Pwm { .. } => 0,
+        Connection::Alicat { .. } | Connection::Unknown => return None,
+    };
     Some(AnalogueSim {
-        channel: free.twin.dac_channel.unwrap_or(*channel),
+        channel,
         zero_code: free.calibration.nominal_value(&keys::ZERO_CODE)?,
         pascals_per_code: free.calibration.nominal_value(&keys::PRESSURE_PER_CODE)?,
     })

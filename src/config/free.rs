@@ -51,6 +51,14 @@ pub(super) struct RawRegulator {
     pub(super) connection: Connection,
 }
 
+/// Kinds of regulators.
+#[derive(Clone, Copy, Debug)]
+enum Kind {
+    Alicat,
+    Dac,
+    Pwm,
+}
+
 /// How a regulator is reached.
 #[derive(Debug)]
 pub(super) enum Connection {
@@ -60,6 +68,8 @@ pub(super) enum Connection {
     Alicat { line: String, id: u8, pascals_per_unit: f64 },
     /// An analogue regulator behind a channel of an MCP4728.
     Dac { bus: String, address: u8, channel: usize },
+    /// An analogue regulator behind a PWM output of a microcontroller on a serial line.
+    Pwm { line: String, id: u8 },
 }
 
 /// `[free.pressure_sensor]`.
@@ -86,12 +96,19 @@ impl RawFree {
         self.sensor.as_ref().map_or(self.regulator.full_scale, |sensor| sensor.full_scale)
     }
 
-    /// The serial line that its regulator or its sensor hangs on, with the unit's id.
-    pub(super) fn unit(&self) -> Option<(&str, u8)> {
-        match (&self.regulator.connection, self.sensor.as_ref().map(|sensor| &sensor.connection)) {
-            (Connection::Alicat { line, id, .. }, _) | (_, Some(SensorConnection::Alicat { line, id, .. })) => {
-                Some((line, *id))
-            }
+    /// The serial lines that its regulator and its sensor hang on, with their ids there.
+    pub(super) fn units(&self) -> impl Iterator<Item = (&str, u8)> {
+        let regulator = match &self.regulator.connection {
+            Connection::Alicat { line, id, .. } | Connection::Pwm { line, id } => Some((line.as_str(), *id)),
+            Connection::Dac { .. } | Connection::Unknown => None,
+        };
+        regulator.into_iter().chain(self.gauge())
+    }
+
+    /// The serial line of the Alicat gauge that measures its pressure, with the gauge's id.
+    pub(super) fn gauge(&self) -> Option<(&str, u8)> {
+        match &self.sensor.as_ref()?.connection {
+            SensorConnection::Alicat { line, id, .. } => Some((line, *id)),
             _ => None,
         }
     }
@@ -156,7 +173,7 @@ pub(super) fn read_free(
     }
     let imu = section.has("imu").then(|| read_imu(section.section("imu"), i2c, earlier));
     let regulator = read_regulator(section.section("regulator"), i2c, serial, earlier);
-    if let (Connection::Dac { .. }, Some(calibration)) = (&regulator.connection, &calibration)
+    if let (Connection::Dac { .. } | Connection::Pwm { .. }, Some(calibration)) = (&regulator.connection, &calibration)
         && calibration.value(&keys::ZERO_CODE).zip(calibration.value(&keys::PRESSURE_PER_CODE)).is_none()
     {
         section.reject(
@@ -258,13 +275,19 @@ fn unit([x, y, z]: [f64; 3]) -> [f64; 3] {
 }
 
 fn read_regulator(mut section: Section<'_>, i2c: &[RawI2c], serial: &[RawSerial], earlier: &[RawFree]) -> RawRegulator {
-    let alicat = Some(true);
-    let dac = Some(false);
-    let kind = section.choice("kind", None, &[("alicat", alicat), ("mcp4728", dac)]).flatten();
+    let kinds = [("alicat", Some(Kind::Alicat)), ("mcp4728", Some(Kind::Dac)), ("pwm", Some(Kind::Pwm))];
+    let kind = section.choice("kind", None, &kinds).flatten();
     let full_scale = section.number("full_scale_psi", None, 0.5..=PRESSURE_CEILING);
     let connection = match kind {
-        Some(true) => read_alicat(&mut section, serial, earlier),
-        Some(false) => read_dac(&mut section, i2c, earlier),
+        Some(Kind::Alicat) => {
+            let (line, id, pascals_per_unit) = read_unit(&mut section, serial, earlier);
+            Connection::Alicat { line, id, pascals_per_unit }
+        }
+        Some(Kind::Dac) => read_dac(&mut section, i2c, earlier),
+        Some(Kind::Pwm) => {
+            let (line, id) = read_id(&mut section, serial, earlier);
+            Connection::Pwm { line, id }
+        }
         None => {
             // What else stands in the table belongs to one of the kinds; without one, nothing can be said of it.
             section.accept_rest();
@@ -274,30 +297,32 @@ fn read_regulator(mut section: Section<'_>, i2c: &[RawI2c], serial: &[RawSerial]
     RawRegulator { full_scale, connection }
 }
 
-fn read_alicat(section: &mut Section<'_>, serial: &[RawSerial], earlier: &[RawFree]) -> Connection {
-    let (line, id, pascals_per_unit) = read_unit(section, serial, earlier);
-    Connection::Alicat { line, id, pascals_per_unit }
-}
-
 /// Line, id and unit of pressure of an Alicat unit.
 fn read_unit(section: &mut Section<'_>, serial: &[RawSerial], earlier: &[RawFree]) -> (String, u8, f64) {
+    let (line, id) = read_id(section, serial, earlier);
+    let units = [("psi", PASCAL_PER_PSI), ("kPa", 1e3), ("bar", 1e5), ("mbar", 100.0), ("Pa", 1.0)];
+    let pascals_per_unit = section.choice("displays", Some(PASCAL_PER_PSI), &units).unwrap_or(PASCAL_PER_PSI);
+    (line, id, pascals_per_unit)
+}
+
+/// Line and id of whatever answers on a serial line.
+fn read_id(section: &mut Section<'_>, serial: &[RawSerial], earlier: &[RawFree]) -> (String, u8) {
     let line = read_bus(section, "line", serial.iter().map(|line| line.name.as_str()), "serial");
     let text = section.optional_text("unit").unwrap_or_else(|| "A".into());
     let id = match text.as_bytes() {
         &[id @ b'A'..=b'Z'] => id,
         _ => {
-            section.reject("unit", "must be one letter from A to Z", "write the id that the unit's front panel shows");
+            let remedy = "write the id that the unit's front panel shows, or the microcontroller's firmware knows";
+            section.reject("unit", "must be one letter from A to Z", remedy);
             b'A'
         }
     };
-    let taken = earlier.iter().find(|free| !line.is_empty() && free.unit() == Some((line.as_str(), id)));
+    let taken = earlier.iter().find(|free| !line.is_empty() && free.units().any(|unit| unit == (line.as_str(), id)));
     if let Some(other) = taken {
         let rule = format!("FREE `{}` has unit {} of line `{line}` already", other.name, char::from(id));
         section.reject("unit", rule, "give the second unit another id on its front panel, and write it here");
     }
-    let units = [("psi", PASCAL_PER_PSI), ("kPa", 1e3), ("bar", 1e5), ("mbar", 100.0), ("Pa", 1.0)];
-    let pascals_per_unit = section.choice("displays", Some(PASCAL_PER_PSI), &units).unwrap_or(PASCAL_PER_PSI);
-    (line, id, pascals_per_unit)
+    (line, id)
 }
 
 /// `[free.pressure_sensor]`, where there is one.

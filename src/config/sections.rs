@@ -67,7 +67,7 @@ pub(super) struct RawSim {
     pub(super) imu_rate_noise: f64,
 }
 
-/// Line rates that the Alicat series use.
+/// Line rates that the Alicat series use, and a microcontroller can.
 const BAUDS: [u32; 6] = [9600, 19200, 38400, 57600, 115_200, 230_400];
 /// Longest path of the control socket, bytes: the kernel takes 107, and `.estop.new` has to fit behind it.
 const SOCKET_PATH_MAX: usize = 97;
@@ -148,8 +148,8 @@ fn read_safety(mut section: Section<'_>, frees: &[RawFree]) -> RawSafety {
 fn check_lines(root: &mut Section<'_>, serial: &[RawSerial], frees: &[RawFree], timeout: Duration) {
     for (name, mut section) in root.named("serial") {
         section.accept_rest();
-        let on = |free: &&RawFree| free.unit().is_some_and(|(line, _)| line == name);
-        let (units, baud) = (frees.iter().filter(on).count(), serial.iter().find(|line| line.name == name));
+        let units = frees.iter().flat_map(RawFree::units).filter(|(line, _)| *line == name).count();
+        let baud = serial.iter().find(|line| line.name == name);
         let Some(baud) = baud.map(|line| line.baud).filter(|baud| BAUDS.contains(baud)) else { continue };
         let in_time = |baud: u32| round_of(units, baud) <= timeout.as_secs_f64();
         if units > 0 && !in_time(baud) {

@@ -7,8 +7,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use thiserror::Error;
-
+use super::channel::{Channel, Wish};
+use super::check::{ControlError, check};
 use super::estimator::{Estimator, Reading};
 use super::fault::Reaction;
 use super::forward::{Forward, derivative_on};
@@ -16,62 +16,18 @@ use super::interlocks::{
     FreeInterlocks, HEARTBEAT_MAX, LateTicks, STALL_MAX, SUPPLY_DEBOUNCE, Seen, Vented, Verdict, reached,
 };
 use super::lifecycle::{Faulting, Mode, Phase, Sight};
-use super::pid::{Band, Pid};
-use super::static_map::StaticMapError;
+use super::pid::Pid;
 use super::trim::trimmed;
-use super::{ControlConfig, FreeControl, Gains, Limits, Request, TickInput};
+use super::{ControlConfig, Gains, Request, TickInput};
 use crate::clock::Time;
 use crate::signal::{
-    Command, Estimate, FaultCode, FreeTick, LimitSet, MAX_FREES, Quantity, Reference, Refusal, RefusalCode,
-    RequestKind, State, TickRecord,
+    Command, Estimate, FaultCode, FreeTick, MAX_FREES, Quantity, Refusal, RefusalCode, RequestKind, State, TickRecord,
 };
 use crate::trajectory::Program;
 
 /// Longest time that one tick integrates over, in periods: after a longer stall the command moves on from where it
 /// stood.
 const LONGEST_STEP: f64 = 10.0;
-
-/// A configuration that no controller can be built from.
-#[derive(Clone, Debug, Error, PartialEq)]
-pub enum ControlError {
-    /// No FREE or too many.
-    #[error("a rig has 1 to {MAX_FREES} FREEs, not {0}")]
-    FreeCount(usize),
-    /// Period, vent time or ramp time is zero.
-    #[error("{0} must be longer than zero")]
-    Duration(&'static str),
-    /// A value of a FREE is out of its range.
-    #[error("FREE {free}: {what} is {value}, but must be {rule}")]
-    Value {
-        /// Its name.
-        free: String,
-        /// Which value, in the words of the configuration.
-        what: &'static str,
-        /// What it is, SI.
-        value: f64,
-        /// What it must be.
-        rule: &'static str,
-    },
-    /// No inverse model for the controller `model`.
-    #[error("FREE {free}: no inverse model for `controller = \"model\"`: {problem}")]
-    Model {
-        /// Its name.
-        free: String,
-        /// What is the matter.
-        problem: StaticMapError,
-    },
-}
-
-/// One FREE: its part of the controller.
-#[derive(Clone, Debug)]
-struct Channel {
-    limits: Limits,
-    pid: Pid,
-    forward: Forward,
-    estimator: Option<Estimator>,
-    interlocks: FreeInterlocks,
-    command: f64,
-}
 
 /// What became of one FREE in this tick, before the command.
 #[derive(Clone, Copy, Default)]
@@ -484,57 +440,6 @@ impl Controller {
     }
 }
 
-/// What is wanted of a FREE in a tick.
-enum Wish {
-    /// Zero at once: a vent, or a state in which nothing else is ever commanded.
-    Zero,
-    /// The pressure stands.
-    Keep,
-    /// The pressure and the controller's terms stand.
-    Freeze,
-    /// On the way down, Pa.
-    Pressure(f64),
-    /// A program: its reference now, and as far ahead as the model looks.
-    Follow(Reference, Reference),
-}
-
-impl Channel {
-    /// Engages the controller for a program whose reference before its start is `reference`.
-    fn engage(&mut self, reference: &Reference, estimate: &Estimate) {
-        self.pid.reset();
-        if reference.quantity == Quantity::Angle {
-            let feedforward = self.forward.engage(reference, estimate);
-            self.pid.engage(reference, estimate, feedforward, self.command, self.limits.pressure_max);
-        }
-    }
-
-    /// Sets the command; returns what was wanted before the limits (Pa) and the limits in force.
-    fn drive(&mut self, wish: Wish, estimate: &Estimate, dt: f64) -> (f64, LimitSet) {
-        let band = Band::new(self.command, self.limits.pressure_max, self.limits.slew, dt);
-        let angle = matches!(wish, Wish::Follow(Reference { quantity: Quantity::Angle, .. }, _));
-        if !angle && !matches!(wish, Wish::Freeze) {
-            self.pid.reset();
-        }
-        let (wanted, command, limits) = match wish {
-            Wish::Zero => (0.0, 0.0, LimitSet::default()),
-            Wish::Keep => (self.command, self.command, LimitSet::default()),
-            Wish::Freeze => (self.command, self.command, LimitSet::INTEGRATOR_HELD),
-            Wish::Follow(reference, ahead) if angle && estimate.valid => {
-                let (reference, feedforward) = self.forward.step(&reference, &ahead, estimate, dt);
-                self.pid.step(&reference, estimate, feedforward, &band, dt)
-            }
-            // The first reading after the tare is not here yet.
-            Wish::Follow(..) if angle => (self.command, self.command, LimitSet::INTEGRATOR_HELD),
-            Wish::Follow(Reference { position, .. }, _) | Wish::Pressure(position) => {
-                let (command, limits) = band.limit(position);
-                (position, command, limits)
-            }
-        };
-        self.command = command;
-        (wanted, limits)
-    }
-}
-
 impl Request {
     /// Its stable number, for the record.
     pub fn kind(&self) -> RequestKind {
@@ -549,56 +454,6 @@ impl Request {
     }
 }
 
-impl Gains {
-    /// The first gain that is negative or not finite, by name.
-    pub fn problem(&self) -> Option<(&'static str, f64)> {
-        [
-            ("proportional gain", self.proportional),
-            ("integral gain", self.integral),
-            ("derivative gain", self.derivative),
-            ("derivative filter", self.derivative_filter),
-        ]
-        .into_iter()
-        .find(|(_, value)| !(value.is_finite() && *value >= 0.0))
-    }
-}
-
 fn refusal(code: RefusalCode, free: Option<usize>) -> Refusal {
     Refusal { code, free: free.map_or(Refusal::RIG, |f| f as u8), fault: None }
-}
-
-fn check(free: &FreeControl, ramp_time: f64) -> Result<(), ControlError> {
-    let FreeControl { limits: l, regulator: r, .. } = free;
-    let mut rules = vec![
-        ("max_pressure", l.pressure_max, l.pressure_max > 0.0 && l.pressure_max.is_finite(), "positive"),
-        ("warn_pressure", l.pressure_warn, l.pressure_warn > l.pressure_max, "above max_pressure"),
-        ("hard_pressure", l.pressure_hard, l.pressure_hard > l.pressure_warn, "above warn_pressure"),
-        ("zero_pressure", l.pressure_zero, l.pressure_zero > 0.0, "positive"),
-        ("slew", l.slew, l.slew * ramp_time >= l.pressure_max, "fast enough to take max_pressure down in ramp_time"),
-        ("angle_soft", l.angle_soft.1, l.angle_soft.0 < l.angle_soft.1, "a range"),
-        (
-            "angle_hard",
-            l.angle_hard.1,
-            l.angle_hard.0 <= l.angle_soft.0 && l.angle_soft.1 <= l.angle_hard.1,
-            "a range that holds angle_soft",
-        ),
-        ("tracking_error", l.tracking_error.0, l.tracking_error.0 > 0.0, "positive"),
-        ("tracking_error time", l.tracking_error.1, l.tracking_error.1 >= 0.0, "zero or more"),
-        ("regulator period", r.period.as_secs_f64(), !r.period.is_zero(), "longer than zero"),
-        ("full_scale", r.full_scale, r.full_scale > 0.0 && r.full_scale.is_finite(), "positive"),
-        ("fastest_fill", r.fastest_fill, r.fastest_fill > 0.0, "positive"),
-        ("feedforward", free.feedforward, (0.0..=1.0).contains(&free.feedforward), "between 0 and 1"),
-    ];
-    if let Some((what, value)) = free.gains.problem() {
-        rules.push((what, value, false, "zero or more, and finite"));
-    }
-    if let Some(imu) = free.imu {
-        let norm = imu.axis.iter().map(|x| x * x).sum::<f64>().sqrt();
-        rules.push(("IMU axis", norm, (norm - 1.0).abs() < 1e-6, "a unit vector (its norm is given)"));
-        rules.push(("IMU period", imu.period.as_secs_f64(), !imu.period.is_zero(), "longer than zero"));
-    }
-    match rules.into_iter().find(|(_, _, good, _)| !good) {
-        Some((what, value, _, rule)) => Err(ControlError::Value { free: free.name.clone(), what, value, rule }),
-        None => Ok(()),
-    }
 }

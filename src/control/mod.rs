@@ -1,6 +1,8 @@
 //! Controller, estimator, interlocks and life cycle: pure functions of (state, input). No clock, no I/O, no
 //! allocation after construction, no async. The same code runs live, on the stepped clock and in replay.
 
+mod channel;
+mod check;
 pub mod controller;
 pub mod design;
 pub mod estimator;
@@ -20,7 +22,8 @@ pub mod static_map;
 pub mod trim;
 pub mod tune;
 
-pub use controller::{ControlError, Controller};
+pub use check::ControlError;
+pub use controller::Controller;
 pub use design::default_gains;
 pub use fault::{MATRIX, Reaction};
 

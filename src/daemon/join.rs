@@ -1,6 +1,7 @@
 //! Joins tick, pump and bus owners by their slots and rings.
 
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use rtrb::{Producer, RingBuffer};
 use triple_buffer::{Input, Output, triple_buffer};
@@ -20,6 +21,8 @@ const RECORDS: usize = 4096;
 const REQUESTS: usize = 16;
 /// Programs that may wait to be freed: two for every request.
 const RETIRED: usize = 4 * REQUESTS;
+/// A regulator that measures nothing is silent after so many periods without a word of it.
+const SILENT_PERIODS: u32 = 3;
 
 /// The ends of every slot and ring, to be handed out.
 pub struct Joints {
@@ -35,7 +38,7 @@ pub struct Joints {
     pub switches: Arc<Switches>,
     /// By I2C bus of the wiring.
     pub i2c: Vec<I2cPorts>,
-    /// By serial line of the wiring: the command, and a slot for each unit.
+    /// By serial line of the wiring: the command, and a slot for each unit, then for each PWM output.
     pub serial: Vec<(Output<Command>, Vec<Input<PressureSample>>)>,
     /// For the owner of the dump valve, where one is fitted.
     pub valve: Option<Output<Command>>,
@@ -108,13 +111,12 @@ pub fn join(rig: &Rig, plant: Option<Arc<Mutex<Plant>>>, switches: Switches) -> 
         .serial
         .iter()
         .map(|line| {
-            (
-                command(),
-                line.units
-                    .iter()
-                    .map(|unit| slot_in(if unit.gauge { &mut sensor } else { &mut pressure }, unit.free))
-                    .collect(),
-            )
+            let mut slots = Vec::new();
+            for unit in &line.units {
+                slots.push(slot_in(if unit.gauge { &mut sensor } else { &mut pressure }, unit.free));
+            }
+            slots.extend(line.pwms.iter().map(|pwm| slot_in(&mut pressure, pwm.channel.free)));
+            (command(), slots)
         })
         .collect();
     let valve = rig.control.dump_valve.then(&mut command);
@@ -122,11 +124,16 @@ pub fn join(rig: &Rig, plant: Option<Arc<Mutex<Plant>>>, switches: Switches) -> 
     let (record_in, record_out) = RingBuffer::new(RECORDS);
     let (request_in, request_out) = RingBuffer::new(REQUESTS);
     let (retired_in, retired_out) = RingBuffer::new(RETIRED);
+    let mut patience = [Duration::ZERO; MAX_FREES];
+    for (patience, free) in patience.iter_mut().zip(&rig.control.frees) {
+        *patience = SILENT_PERIODS * free.regulator.period;
+    }
     let tick = Tick {
         controller: Controller::new(&rig.control)?,
         imu,
         pressure,
         sensor,
+        patience,
         commands,
         trim: trim_out,
         requests: request_out,

@@ -160,12 +160,15 @@ impl Live {
             let open = move || std::future::ready(serial::open(&opened));
             let stop = Arc::clone(&stop_owners);
             let owner = SerialOwner::new(&wiring, clock.fork(), timeout, open, command, samples, stop)?;
-            for (unit, statistics) in wiring.units.iter().zip(&owner.statistics().units) {
+            // Alicat units, then PWM outputs: FREE, and whether it is a gauge.
+            let units = wiring.units.iter().map(|unit| (unit.free, unit.gauge));
+            let units = units.chain(wiring.pwms.iter().map(|pwm| (pwm.channel.free, false)));
+            for ((free, gauge), statistics) in units.zip(&owner.statistics().units) {
                 let line = Arc::clone(&owner.statistics().line);
                 let statistics = Some(Arc::clone(statistics));
-                note(&mut devices, unit.free, |d| {
+                note(&mut devices, free, |d| {
                     d.line = Some(line);
-                    if unit.gauge { d.sensor = statistics } else { d.regulator = statistics }
+                    if gauge { d.sensor = statistics } else { d.regulator = statistics }
                 });
             }
             let thread = serial::spawn(&wiring.name, owner, promote.clone()).map_err(thread_failed)?;

@@ -14,10 +14,6 @@ use crate::rt::Timing;
 use crate::signal::{Command, ImuSample, MAX_FREES, PressureSample, TickRecord, Trim};
 use crate::trajectory::Program;
 
-/// A DAC that has not been written for so long is silent, whatever the sensor behind its regulator says: three of its
-/// periods.
-const SILENT: Duration = Duration::from_millis(30);
-
 /// Switches that other threads throw and the tick reads.
 #[derive(Debug, Default)]
 pub struct Switches {
@@ -44,6 +40,8 @@ pub struct Tick {
     pub(super) pressure: [Option<Output<PressureSample>>; MAX_FREES],
     /// Sensors of their own, of FREEs whose regulators measure nothing.
     pub(super) sensor: [Option<Output<PressureSample>>; MAX_FREES],
+    /// By FREE: a regulator that has not been heard of for so long is silent, whatever the sensor behind it says.
+    pub(super) patience: [Duration; MAX_FREES],
     pub(super) commands: Vec<Input<Command>>,
     pub(super) trim: Output<Trim>,
     pub(super) requests: Consumer<Request>,
@@ -101,9 +99,9 @@ impl Tick {
                 *sample = *slot.read();
             }
         }
-        for (sample, slot) in input.pressure.iter_mut().zip(&mut self.sensor) {
+        for ((sample, slot), patience) in input.pressure.iter_mut().zip(&mut self.sensor).zip(self.patience) {
             if let Some(slot) = slot {
-                *sample = sample.measured_by(*slot.read(), SILENT);
+                *sample = sample.measured_by(*slot.read(), patience);
             }
         }
         input

@@ -46,7 +46,7 @@ pub fn of(rig: &Rig) -> Validity {
     check(rig, jiff::Zoned::now().date(), &cycles::counted(rig))
 }
 
-/// Which regulator the FREE `index` of `rig` has: `alicat A on line`, `channel B of 0x60 on main`.
+/// Which regulator the FREE `index` of `rig` has: `alicat A on line`, `channel B of 0x60 on main`, `pwm C on line`.
 pub fn regulator(rig: &Rig, index: usize) -> Option<String> {
     let alicat = rig.wiring.serial.iter().flat_map(|line| line.units.iter().map(move |unit| (line, unit)));
     if let Some((line, unit)) = alicat.into_iter().find(|(_, unit)| unit.free == index && !unit.gauge) {

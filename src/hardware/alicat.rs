@@ -10,8 +10,8 @@ use std::time::Duration;
 use thiserror::Error;
 use tokio::io::{AsyncRead, AsyncWrite};
 
-use super::alicat_frame::{Columns, Escaped, Frame, FrameError, ManifestError, register};
-use super::serial_line::{Line, LineError};
+use super::alicat_frame::{Columns, Frame, FrameError, ManifestError, register};
+use super::serial_line::{Escaped, Line, LineError};
 use super::wiring::UnitWiring;
 use super::{HardwareError, Identity, PressureRegulator};
 use crate::clock::Time;
@@ -70,27 +70,16 @@ pub enum AlicatError {
 }
 
 impl AlicatError {
-    /// Whether only opening the line again can help.
-    pub const fn is_dead_line(&self) -> bool {
-        matches!(self, Self::Line(e) if e.is_dead())
-    }
-
-    /// Whether nothing can be heard because somebody does not stop talking.
-    pub const fn is_babble(&self) -> bool {
-        matches!(self, Self::Line(LineError::Babble))
-    }
-
-    /// Whether nothing went wrong but a reply that could not be used.
-    pub const fn is_out_of_step(&self) -> bool {
-        matches!(self, Self::Line(LineError::OutOfStep))
+    /// What is wrong with the line, where that is what is wrong.
+    pub const fn line(&self) -> Option<&LineError> {
+        if let Self::Line(error) = self { Some(error) } else { None }
     }
 
     /// The failure with the device's name, and what to do.
     pub fn at(&self, device: &Arc<str>) -> HardwareError {
         let (device, detail) = (device.clone(), self.to_string());
         match self {
-            Self::Line(LineError::TimedOut(_) | LineError::OutOfStep) => HardwareError::NoAnswer { device, detail },
-            Self::Line(_) => HardwareError::Transfer { device, detail },
+            Self::Line(error) => error.at(&device),
             Self::Frame(_) | Self::Unexpected(..) => HardwareError::Malformed { device, detail },
             Self::Manifest(_) | Self::Scale { .. } => HardwareError::Unsafe {
                 device,
@@ -238,7 +227,7 @@ impl<S: AsyncRead + AsyncWrite + Unpin> Alicat<'_, S> {
     /// frames only.
     pub async fn identify(&mut self) -> Result<PressureSample, AlicatError> {
         match self.zero_blindly().await {
-            Err(error) if !error.is_out_of_step() => return Err(error),
+            Err(error) if error.line() != Some(&LineError::OutOfStep) => return Err(error),
             _ => {}
         }
         let lines = self.line.transact_lines(&self.unit.command("??D*"), LIST_PAUSE).await?;

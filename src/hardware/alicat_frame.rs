@@ -4,10 +4,9 @@
 //! columns there are is the unit's own setting and can be asked for (`A??D*`). Columns are counted: a frame of
 //! another length is an error, not a guess.
 
-use std::fmt;
-
 use thiserror::Error;
 
+use super::serial_line::Escaped;
 use crate::signal::RegulatorStatus;
 
 /// What stands in a column, behind the id.
@@ -66,22 +65,6 @@ pub enum FrameError {
         /// What arrived.
         line: Escaped,
     },
-}
-
-/// Bytes from a line, printed with everything unprintable escaped.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Escaped(Box<[u8]>);
-
-impl From<&[u8]> for Escaped {
-    fn from(bytes: &[u8]) -> Self {
-        Self(bytes.into())
-    }
-}
-
-impl fmt::Display for Escaped {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "`{}`", self.0.escape_ascii())
-    }
 }
 
 /// One data frame, in the units of the device.

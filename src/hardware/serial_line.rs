@@ -11,6 +11,7 @@
 //! `MAX_QUIET` are outlasted. What this cannot tell apart, two replies in a row that are late by different times,
 //! shows in the echo of the set-point: [`Line::doubt`] lets the next command wait for what may still be coming.
 
+use std::fmt;
 use std::io;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
@@ -21,7 +22,7 @@ use futures_util::future::{Either, poll_fn, select};
 use thiserror::Error;
 use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt, ReadBuf};
 
-use super::Counter;
+use super::{Counter, HardwareError};
 use crate::clock::{Clock, Time};
 
 /// Bits on the wire for one byte: start, eight data, stop.
@@ -88,6 +89,15 @@ impl LineError {
     pub const fn is_dead(&self) -> bool {
         matches!(self, Self::Unplugged | Self::Io(_))
     }
+
+    /// The failure with the name of the device that was asked, and what to do.
+    pub fn at(&self, device: &Arc<str>) -> HardwareError {
+        let (device, detail) = (device.clone(), self.to_string());
+        match self {
+            Self::TimedOut(_) | Self::OutOfStep => HardwareError::NoAnswer { device, detail },
+            Self::Babble | Self::Unplugged | Self::Io(_) => HardwareError::Transfer { device, detail },
+        }
+    }
 }
 
 impl From<io::Error> for LineError {
@@ -96,6 +106,22 @@ impl From<io::Error> for LineError {
             io::ErrorKind::BrokenPipe | io::ErrorKind::UnexpectedEof | io::ErrorKind::WriteZero => Self::Unplugged,
             _ => Self::Io(error.to_string()),
         }
+    }
+}
+
+/// Bytes from a line, printed with everything unprintable escaped.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Escaped(Box<[u8]>);
+
+impl From<&[u8]> for Escaped {
+    fn from(bytes: &[u8]) -> Self {
+        Self(bytes.into())
+    }
+}
+
+impl fmt::Display for Escaped {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "`{}`", self.0.escape_ascii())
     }
 }
 

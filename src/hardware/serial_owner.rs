@@ -21,8 +21,10 @@ use futures_util::FutureExt;
 use tokio::io::{AsyncRead, AsyncWrite};
 use triple_buffer::{Input, Output};
 
-use super::alicat::{AlicatError, Unit};
+use super::alicat::Unit;
+use super::pwm::PwmOutput;
 use super::serial_line::{Line, LineError, LineStatistics};
+use super::serial_unit::{SerialUnit, UnitError};
 use super::wiring::SerialWiring;
 use super::{DeviceStatistics, HardwareError};
 use crate::clock::{Clock, Time};
@@ -34,15 +36,15 @@ const LOST_AFTER: u32 = 3;
 const PROBE_PERIOD: Duration = Duration::from_millis(500);
 /// How often a line that cannot be opened is tried.
 const REOPEN_PERIOD: Duration = Duration::from_millis(200);
-/// How often a unit in analogue mode is asked whether it still is.
-const SOURCE_PERIOD: Duration = Duration::from_secs(2);
+/// How often a unit that may not obey (an Alicat in analogue mode) is asked whether it does.
+const CHECK_PERIOD: Duration = Duration::from_secs(2);
 
 /// What has happened on a line and to its units since the start.
 #[derive(Debug)]
 pub struct SerialStatistics {
     /// The line.
     pub line: Arc<LineStatistics>,
-    /// Its units, in the order of the wiring.
+    /// Its units, in the order of the wiring: Alicat units, then PWM outputs.
     pub units: Vec<Arc<DeviceStatistics>>,
 }
 
@@ -59,13 +61,13 @@ enum Link {
 
 #[derive(Debug)]
 struct Slot {
-    unit: Unit,
+    unit: SerialUnit,
     link: Link,
     failures: u32,
     /// Turn in which it was served last.
     served: u64,
     sample: PressureSample,
-    check_source_at: Time,
+    check_at: Time,
     publish: Input<PressureSample>,
     statistics: Arc<DeviceStatistics>,
 }
@@ -73,9 +75,9 @@ struct Slot {
 /// Why a line is no longer served.
 enum End {
     Stopped,
-    Dead(AlicatError),
+    Dead(LineError),
     /// Nobody can be heard; zero has been sent to everybody.
-    Babble(AlicatError),
+    Babble(LineError),
     AllLost,
 }
 
@@ -101,8 +103,8 @@ where
     S: AsyncRead + AsyncWrite + Unpin,
 {
     /// An owner that opens its line with `open`, now and whenever it has to be opened again; takes its commands
-    /// from `command`, publishes into `samples` (one for each unit of the wiring, in its order), and ends with
-    /// the set-points at zero when `stop` is set.
+    /// from `command`, publishes into `samples` (one for each unit of the wiring, Alicat units first, then PWM outputs),
+    /// and ends with the set-points at zero when `stop` is set.
     pub fn new(
         wiring: &SerialWiring,
         clock: Clock,
@@ -118,14 +120,17 @@ where
             reason,
             remedy: remedy.to_owned(),
         };
-        if samples.len() != wiring.units.len() {
-            let reason = format!("{} units are wired to {} slots", wiring.units.len(), samples.len());
+        let alicats = wiring.units.iter().map(|w| (w.id, Unit::new(*w, &name).map(SerialUnit::Alicat)));
+        let outputs = wiring.pwms.iter().map(|w| (w.id, PwmOutput::new(*w, &name).map(SerialUnit::Pwm)));
+        let units: Vec<_> = alicats.chain(outputs).collect();
+        if samples.len() != units.len() {
+            let reason = format!("{} units are wired to {} slots", units.len(), samples.len());
             return Err(refuse(reason, "Give every unit one slot"));
         }
         let mut slots = Vec::with_capacity(samples.len());
-        for (unit, publish) in wiring.units.iter().zip(samples) {
-            let Some(unit) = Unit::new(*unit, &name) else {
-                let reason = format!("`{}` is no unit id", unit.id.escape_ascii());
+        for ((id, unit), publish) in units.into_iter().zip(samples) {
+            let Some(unit) = unit else {
+                let reason = format!("`{}` is no unit id", id.escape_ascii());
                 return Err(refuse(reason, "Use one of the letters A to Z"));
             };
             let statistics = Arc::new(DeviceStatistics::new(unit.device().clone()));
@@ -135,7 +140,7 @@ where
                 failures: 0,
                 served: 0,
                 sample: PressureSample { pressure: f64::NAN, setpoint: f64::NAN, ..PressureSample::default() },
-                check_source_at: Time::ZERO,
+                check_at: Time::ZERO,
                 publish,
                 statistics,
             });
@@ -166,7 +171,7 @@ where
                     let mut line = Line::new(stream, self.clock.clone(), self.baud, self.statistics.line.clone());
                     let since = self.clock.now();
                     let served = AssertUnwindSafe(self.serve(&mut line)).catch_unwind().await;
-                    match served.unwrap_or_else(|panic| End::Dead(LineError::Io(told(&*panic)).into())) {
+                    match served.unwrap_or_else(|panic| End::Dead(LineError::Io(told(&*panic)))) {
                         End::Stopped => return,
                         // Unplugged: the next attempt to open it says whether it is there.
                         End::Dead(error) => {
@@ -199,10 +204,10 @@ where
         }
         // The first frame of every unit is zero, before anything is asked.
         for i in 0..self.slots.len() {
-            if let Err(error) = self.slots[i].unit.on(line).zero_blindly().await
-                && error.is_dead_line()
+            if let Err(error) = self.slots[i].unit.zero_blindly(line).await
+                && let Some(dead) = error.line().filter(|e| e.is_dead())
             {
-                return End::Dead(error);
+                return End::Dead(dead.clone());
             }
         }
         loop {
@@ -223,13 +228,11 @@ where
             let slot = &mut self.slots[i];
             slot.served = turn;
             if let Err(error) = slot.turn(line, &command, now).await {
-                if error.is_dead_line() {
-                    return End::Dead(error);
+                match error.line() {
+                    Some(dead) if dead.is_dead() => return End::Dead(dead.clone()),
+                    Some(LineError::Babble) => return self.shout(line).await,
+                    _ => self.slots[i].failed(&error, self.clock.now()),
                 }
-                if error.is_babble() {
-                    return self.shout(line, error).await;
-                }
-                self.slots[i].failed(&error, self.clock.now());
             }
         }
     }
@@ -249,7 +252,7 @@ where
         slots
             .min_by_key(|(_, s)| {
                 let urgent = s.link == Link::Up
-                    && !s.unit.wiring().gauge
+                    && s.unit.is_regulator()
                     && s.unit.target(command) == 0.0
                     && s.sample.setpoint != 0.0
                     // A unit that does not obey must not keep the others waiting.
@@ -260,22 +263,20 @@ where
     }
 
     /// Sends zero to every unit: one that babbles keeps the others from being heard, not from hearing.
-    async fn shout(&mut self, line: &mut Line<S>, babble: AlicatError) -> End {
+    async fn shout(&mut self, line: &mut Line<S>) -> End {
         for slot in &mut self.slots {
-            if let Err(error) = slot.unit.on(line).shout_zero().await {
-                return End::Dead(error);
+            if let Err(error) = slot.unit.shout_zero(line).await {
+                return End::Dead(error.line().cloned().unwrap_or(LineError::Babble));
             }
         }
-        End::Babble(babble)
+        End::Babble(LineError::Babble)
     }
 
     /// Commands zero once more on the way out.
     async fn leave(&mut self, line: &mut Line<S>) -> End {
         for slot in &mut self.slots {
-            if slot.unit.on(line).zero_blindly().await.is_err_and(|e| e.is_out_of_step()) {
-                // The set-point is out; only the reply could not be used.
-                continue;
-            }
+            // The set-point is out, whatever comes of the reply.
+            let _ = slot.unit.zero_blindly(line).await;
         }
         End::Stopped
     }
@@ -301,21 +302,20 @@ fn told(panic: &(dyn Any + Send)) -> String {
 
 impl Slot {
     /// One exchange.
-    async fn turn<S>(&mut self, line: &mut Line<S>, command: &Command, now: Time) -> Result<(), AlicatError>
+    async fn turn<S>(&mut self, line: &mut Line<S>, command: &Command, now: Time) -> Result<(), UnitError>
     where
         S: AsyncRead + AsyncWrite + Unpin,
     {
         let sample = if self.link == Link::Up {
-            if self.unit.is_analog() && now >= self.check_source_at {
-                self.check_source_at = now + SOURCE_PERIOD;
-                self.unit.on(line).check_source().await?;
+            if self.unit.is_doubtful() && now >= self.check_at {
+                self.check_at = now + CHECK_PERIOD;
+                self.unit.check(line).await?;
             }
-            let target = self.unit.target(command);
-            self.unit.on(line).write(target).await?
+            self.unit.write(line, self.unit.target(command)).await?
         } else {
-            let sample = self.unit.on(line).identify().await?;
+            let sample = self.unit.identify(line).await?;
             self.statistics.note_connected(self.unit.identity());
-            self.check_source_at = now + SOURCE_PERIOD;
+            self.check_at = now + CHECK_PERIOD;
             self.link = Link::Up;
             sample
         };
@@ -326,9 +326,9 @@ impl Slot {
         Ok(())
     }
 
-    fn failed(&mut self, error: &AlicatError, now: Time) {
+    fn failed(&mut self, error: &UnitError, now: Time) {
         self.statistics.retries.increment();
-        if error.is_out_of_step() {
+        if error.line() == Some(&LineError::OutOfStep) {
             return;
         }
         self.failures += 1;
@@ -345,13 +345,5 @@ impl Slot {
             self.publish.write(self.sample);
         }
         self.link = Link::Lost(probe);
-    }
-}
-
-impl Unit {
-    /// What `command` asks of this unit, Pa: within its full scale, zero under a vent, zero for what is no number.
-    fn target(&self, command: &Command) -> f64 {
-        let wanted = command.pressure.get(self.wiring().free).copied().unwrap_or(0.0);
-        if command.vent || wanted.is_nan() { 0.0 } else { wanted.clamp(0.0, self.wiring().full_scale) }
     }
 }

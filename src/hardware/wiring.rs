@@ -79,7 +79,7 @@ pub struct DacWiring {
     pub channels: [Option<DacChannel>; 4],
 }
 
-/// An analogue pressure regulator behind one DAC channel, by its measured map.
+/// An analogue pressure regulator behind a DAC's channel or a PWM output of 12 bits, by its measured map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DacChannel {
     /// FREE that it feeds.
@@ -121,6 +121,8 @@ pub struct SerialWiring {
     pub baud: u32,
     /// Alicat units on it.
     pub units: Vec<UnitWiring>,
+    /// PWM outputs of microcontrollers on it.
+    pub pwms: Vec<PwmWiring>,
 }
 
 /// One Alicat pressure controller, or gauge.
@@ -136,4 +138,13 @@ pub struct UnitWiring {
     pub full_scale: f64,
     /// Pascals in the unit that the device's front panel and frames use (psi from the factory).
     pub pascals_per_unit: f64,
+}
+
+/// One PWM output of a microcontroller ([`super::pwm`]).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PwmWiring {
+    /// Id of the output, `b'A'..=b'Z'`; no other output and no Alicat unit on the line has it.
+    pub id: u8,
+    /// What hangs on it.
+    pub channel: DacChannel,
 }

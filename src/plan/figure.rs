@@ -1,6 +1,8 @@
 //! The figure that a closed tip path draws on a plane.
 
-use nalgebra::{Matrix2, SymmetricEigen, UnitQuaternion, Vector2, Vector3};
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::{Matrix2, Quaternion, SymmetricEigen, UnitQuaternion, Vector2, Vector3};
 
 use super::Pose;
 
@@ -49,24 +51,27 @@ impl Figure {
     }
 }
 
-/// Turn of the plate about its own axis, rad, -pi to pi: what is left when the tilt is undone the shortest way.
-pub(super) fn twist(pose: &Pose) -> f64 {
-    let [w, _, _, z] = pose.rotation;
-    let turn = 2.0 * z.atan2(w);
-    (turn + std::f64::consts::PI).rem_euclid(std::f64::consts::TAU) - std::f64::consts::PI
+/// Of a plate's rotation (w, x, y, z) from rest, rad: the turn about its own axis, -pi to pi (what is left when the tilt is
+/// undone the shortest way), and the angle between its normal and z.
+pub fn turn_and_tilt([w, x, y, z]: [f64; 4]) -> (f64, f64) {
+    let turn = (2.0 * z.atan2(w) + PI).rem_euclid(TAU) - PI;
+    let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));
+    (turn, (rotation * Vector3::z()).z.clamp(-1.0, 1.0).acos())
 }
 
-/// Angle between the plate's normal and z, rad.
+/// [`turn_and_tilt`]'s turn.
+pub(super) fn twist(pose: &Pose) -> f64 {
+    turn_and_tilt(pose.rotation).0
+}
+
+/// [`turn_and_tilt`]'s tilt.
 pub(super) fn tilt(pose: &Pose) -> f64 {
-    let [w, x, y, z] = pose.rotation;
-    let turn = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(w, x, y, z));
-    (turn * Vector3::z()).z.clamp(-1.0, 1.0).acos()
+    turn_and_tilt(pose.rotation).1
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::f64::consts::{PI, TAU};
 
     fn drawn(curve: impl Fn(f64) -> (f64, f64)) -> Figure {
         let poses = (0..400).map(|k| {

@@ -40,7 +40,7 @@ pub mod workspace;
 
 pub use end::{End, Ended};
 pub use error::PlanError;
-pub use figure::Figure;
+pub use figure::{Figure, turn_and_tilt};
 pub use inverse::{Inverse, Shortfall};
 pub use limits::{Bound, Limits};
 pub use margin::Margin;

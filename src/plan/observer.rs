@@ -42,10 +42,15 @@ const ARM: f64 = 0.01;
 pub fn turned(axis: [f64; 3], rest: [f64; 4], now: [f64; 4]) -> Option<UnitQuaternion<f64>> {
     let unit = |[w, x, y, z]: [f64; 4]| UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 0.5);
     let (rest, now) = (unit(rest)?, unit(now)?);
-    // From the module's frame to that of its sensor at rest; opposite directions have no short way.
-    let sensor = UnitQuaternion::rotation_between(&Vector3::z(), &axis.into())
-        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+    let sensor = mounting(axis);
     Some(sensor.inverse() * (rest.inverse() * now) * sensor)
+}
+
+/// How a sensor is mounted in whose frame z of what carries it is `axis`: the short way, from the carrier's frame to the
+/// sensor's; opposite directions have none, and turn about x.
+pub fn mounting(axis: [f64; 3]) -> UnitQuaternion<f64> {
+    UnitQuaternion::rotation_between(&Vector3::z(), &axis.into())
+        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
 }
 
 /// An estimate of the plate's centre.

@@ -4,11 +4,13 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 
+use super::bars::Bars;
 use super::columns::{column_name, limit_names, state_of};
 use super::document::FaultDocument;
+use super::lanes::{Lane, Lanes, state_color};
 use super::metrics::ways;
 use super::module::TipPath;
-use super::plot::{Band, Bars, Lane, Lanes, Line, Plot, state_color};
+use super::plot::{Band, Line, Plot};
 use super::prediction;
 use super::run::Run;
 use super::samples::Table;

@@ -10,9 +10,11 @@
 //!
 //! A run that was killed is readable up to its last whole batch (100 ms); its `run.rrd` lacks its last sixtieth.
 
+mod bars;
 mod bench;
 mod bench_page;
 mod blueprint;
+mod canvas;
 mod columns;
 mod comparison;
 mod design;
@@ -20,8 +22,10 @@ mod document;
 mod error;
 mod export;
 mod figures;
+mod free_document;
 mod html;
 mod imu;
+mod lanes;
 mod live;
 mod loads;
 mod locus;
@@ -60,12 +64,12 @@ pub use columns::column_name;
 pub use comparison::{Comparison, Deviation, Row};
 pub use design::design_sheet;
 pub use document::{
-    Backend, ErrorDocument, FORMAT, FaultDocument, FreeDocument, GainsDocument, HysteresisDocument, LimitsDocument,
-    LoopDocument, ModelDocument, MomentDocument, RealtimeDocument, Repetition, RunDocument, RunKind, RunResult,
-    StartDocument, StopDocument, sha256,
+    Backend, ErrorDocument, FORMAT, FaultDocument, LoopDocument, MomentDocument, RealtimeDocument, Repetition,
+    RunDocument, RunKind, RunResult, StartDocument, StopDocument, sha256,
 };
 pub use error::{RecordError, Result};
 pub use export::{Exported, Format, TIME_BASE, export};
+pub use free_document::{FreeDocument, GainsDocument, HysteresisDocument, LimitsDocument, ModelDocument};
 pub use imu::{ImuReading, damping_sheet, imu_sheet};
 pub use live::{LiveFeed, LiveOptions, LiveView};
 pub use loads::{LoadsDrawing, draw_loads};

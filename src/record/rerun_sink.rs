@@ -15,7 +15,7 @@ use rerun::{
 
 use super::columns::{column_name, limit_names, state_of};
 use super::document::StartDocument;
-use super::plot::state_color;
+use super::lanes::state_color;
 use super::run::RRD_NAME;
 use super::samples::floats;
 use super::shape::{self, Pose};

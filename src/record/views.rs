@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use plotters::prelude::*;
 
-use super::plot::{Axis, Chart, LEGEND_ROW, Mark, WIDTH, color, fluid, legend, legend_rows, mesh, plot_error};
+use super::canvas::{Axis, Chart, LEGEND_ROW, Mark, WIDTH, color, fluid, legend, legend_rows, mesh, plot_error};
 use super::{Result, palette};
 
 /// Space left of a view's axis and under it, right of it, pixels.

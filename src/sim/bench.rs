@@ -37,14 +37,14 @@ pub struct PlantSim {
     pub knob: Option<KnobSim>,
     /// Its regulator.
     pub regulator: RegulatorSim,
-    /// What stands between a DAC and its regulator; none of one that takes its set-point as a number.
+    /// What stands between a DAC or a PWM output and its regulator; none of one that takes its set-point as a number.
     pub analogue: Option<AnalogueSim>,
 }
 
 /// The input of a simulated analogue regulator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AnalogueSim {
-    /// Channel of the DAC (0 to 3) that it really hangs on, whatever rig.toml says.
+    /// Channel of the DAC (0 to 3) that it really hangs on, whatever rig.toml says; of no matter behind a PWM output.
     pub channel: usize,
     /// Nominal code at which it begins to open; the true one is off by the seeded scatter of [`AnalogueSim::ZERO_SPREAD`].
     pub zero_code: f64,

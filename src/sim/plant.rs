@@ -107,6 +107,8 @@ pub struct Plant {
     /// By grid point of effect, then in the order of their arrival.
     events: BTreeMap<(u64, u64), Event>,
     arrivals: u64,
+    /// By FREE: when its set-point becomes zero unless it is told another before.
+    lapses: BTreeMap<usize, (u64, u64)>,
 }
 
 impl Plant {
@@ -125,6 +127,7 @@ impl Plant {
             step: 0,
             events: BTreeMap::new(),
             arrivals: 0,
+            lapses: BTreeMap::new(),
         }
     }
 
@@ -154,7 +157,18 @@ impl Plant {
     pub fn set_setpoint(&mut self, free: usize, pascals: f64, at: Time) {
         if let Some(branch) = self.branches.get(free) {
             let effect = at + branch.regulator.spec().dead_time;
+            if let Some(lapse) = self.lapses.remove(&free) {
+                self.events.remove(&lapse);
+            }
             self.schedule(effect, Event::Setpoint(free, pascals));
+        }
+    }
+
+    /// The set-point of `free` becomes zero at `at` unless it is given one before: a watchdog of whatever gives it.
+    pub fn lapse_at(&mut self, free: usize, at: Time) {
+        if let Some(branch) = self.branches.get(free) {
+            let lapse = self.schedule(at + branch.regulator.spec().dead_time, Event::Setpoint(free, 0.0));
+            self.lapses.insert(free, lapse);
         }
     }
 
@@ -249,9 +263,12 @@ impl Plant {
         self.branches.get(free).and_then(|b| b.tip.hard_stop())
     }
 
-    fn schedule(&mut self, at: Time, event: Event) {
-        self.events.insert((grid(at), self.arrivals), event);
+    /// Returns the event's place.
+    fn schedule(&mut self, at: Time, event: Event) -> (u64, u64) {
+        let place = (grid(at), self.arrivals);
+        self.events.insert(place, event);
         self.arrivals += 1;
+        place
     }
 
     /// Whether the supply's pressure switch is closed at `time`.

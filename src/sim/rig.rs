@@ -2,21 +2,20 @@
 
 use std::collections::BTreeMap;
 use std::convert::Infallible;
-use std::f64::consts::PI;
 use std::io;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use embedded_hal::digital;
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
 use super::chips::{
     Ads1115Chip, AlicatChip, Bno055Chip, Bno055Sim, Mcp4728Chip, MemoryStream, Mischief, Orientation, Promote, Pty,
-    SerialLine, SimI2c,
+    PwmChip, SerialLine, SimI2c,
 };
 use super::plant::SCATTER_CUT;
 use super::{AnalogueSim, BenchConfig, Plant};
@@ -24,6 +23,7 @@ use crate::clock::Clock;
 use crate::hardware::HardwareError;
 use crate::hardware::gpio::{Contact, GpioValve, OpenPin};
 use crate::hardware::wiring::{AdcWiring, DacWiring, ImuWiring, SerialWiring, Wiring};
+use crate::plan::observer::mounting;
 
 /// The buses run at the Linux default.
 const I2C_HERTZ: u32 = 100_000;
@@ -78,7 +78,7 @@ impl SimRig {
             rig.buses.push((bus, clock));
         }
         for (index, wiring) in wiring.serial.iter().enumerate() {
-            let line = rig.line_of(wiring, bench.seed.wrapping_add(index as u64));
+            let line = rig.line_of(bench, wiring, bench.seed.wrapping_add(index as u64));
             rig.lines.push(line);
         }
         rig
@@ -88,9 +88,7 @@ impl SimRig {
         let Some(&free) = wiring.frees.first() else { return };
         let axis = axes.get(free).copied().unwrap_or([0.0, 0.0, 1.0]);
         let plant = self.plant();
-        // Opposite directions have no short way: about x then.
-        let turn = UnitQuaternion::rotation_between(&Vector3::z(), &Vector3::from(axis))
-            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI));
+        let turn = mounting(axis);
         let motion = move |time| {
             let motion = plant.lock().unwrap_or_else(PoisonError::into_inner).orientation(free, time);
             // The sensor's frame has the FREE's z along `axis`, turned there the short way.
@@ -143,12 +141,19 @@ impl SimRig {
         }
     }
 
-    fn line_of(&mut self, wiring: &SerialWiring, seed: u64) -> Arc<Mutex<SerialLine>> {
+    fn line_of(&mut self, bench: &BenchConfig, wiring: &SerialWiring, seed: u64) -> Arc<Mutex<SerialLine>> {
         let mut line = SerialLine::new(wiring.baud, seed);
         for unit in &wiring.units {
             let mischief = line.attach(AlicatChip::new(*unit, self.plant()));
             let devices = if unit.gauge { &mut self.sensors } else { &mut self.regulators };
             devices.insert(unit.free, mischief);
+        }
+        for pwm in &wiring.pwms {
+            let free = pwm.channel.free;
+            if let Some(input) = Self::analogue(bench, free) {
+                let mischief = line.attach(PwmChip::new(pwm.id, free, input, self.plant()));
+                self.regulators.insert(free, mischief);
+            }
         }
         Arc::new(Mutex::new(line))
     }

@@ -83,7 +83,7 @@ fn a_wall_clock_that_is_set_disturbs_neither_the_loop_nor_the_record() {
 const TELLERS: [&str; 9] = [
     "src/cli/calibrate/",
     "src/cli/demo.rs",
-    "src/daemon/api.rs",
+    "src/daemon/api/status.rs",
     "src/daemon/doctor/kernel.rs",
     "src/daemon/validity.rs",
     "src/record/quota.rs",

@@ -6,3 +6,4 @@ mod bno055;
 mod i2c_owner;
 mod mcp4728;
 mod plant;
+mod pwm;

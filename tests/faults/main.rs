@@ -11,4 +11,5 @@ mod lines;
 mod live;
 mod matrix;
 mod pairs;
+mod pwm;
 mod stage;

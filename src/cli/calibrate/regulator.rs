@@ -1,5 +1,5 @@
 //! `freerig calibrate regulator`: of a unit that measures its pressure, dynamics and soundness; of an analogue regulator
-//! behind a DAC, its channel, zero and span.
+//! behind a DAC or a PWM output, its channel, zero and span.
 
 use anyhow::{Context as _, anyhow};
 use jiff::Zoned;
@@ -38,7 +38,7 @@ pub(super) fn find(how: &How, rig: &Rig, index: usize, context: &Context) -> Res
 fn behind_a_dac(how: &How, rig: &Rig, index: usize, context: &Context) -> Result<(Finding, Run), Failure> {
     let highest = stiffness::highest_pressure(rig, index).map_err(failure)?;
     let instruction = format!(
-        "Every FREE behind a DAC is on its regulator and hangs free, and a gauge is on the line of `{}`. The channels \
+        "Every FREE behind a DAC or a PWM output is on its regulator and hangs free, and a gauge is on the line of `{}`. The channels \
          will be raised a little one after another, then this one in steps up to {:.2}, as far as its present zero and \
          span are right; nobody is near without eye protection.",
         rig.control.frees[index].name,

@@ -144,8 +144,3 @@ fn psi(pressures: &[f64; 4]) -> String {
         NAMES.iter().zip(pressures).map(|(name, p)| format!("{name} {:.2}", Pressure::pascals(*p).display_value()));
     format!("{} psi", each.collect::<Vec<_>>().join(", "))
 }
-
-/// Turn about the plate's own axis and angle between that axis and z, rad, of a rotation (w, x, y, z) from rest.
-fn turn_and_tilt([w, x, y, z]: [f64; 4]) -> (f64, f64) {
-    (2.0 * z.atan2(w), (1.0 - 2.0 * (x * x + y * y)).clamp(-1.0, 1.0).acos())
-}

@@ -8,14 +8,14 @@ use anyhow::{Context as _, anyhow};
 use nalgebra::{Vector2, Vector3};
 use serde::Serialize;
 
-use super::{Shares, Stop, psi, refused, turn_and_tilt};
+use super::{Shares, Stop, psi, refused};
 use crate::cli::scene::{Built, SceneArgs, build};
 use crate::cli::table::{Table, number};
 use crate::cli::{Context, Failure, Progress};
 use crate::config::Rig;
 use crate::fem::module::{ModuleScene, square};
 use crate::plan::workspace::{CasePath, Comparison, Outline, Reach, against_paper, cases, reach};
-use crate::plan::{Limits, Rest};
+use crate::plan::{Limits, Rest, turn_and_tilt};
 use crate::record::{ModuleDrawing, workspace_recording, workspace_sheet};
 use crate::units::{PASCAL_PER_PSI, Pressure};
 

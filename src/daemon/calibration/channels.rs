@@ -29,20 +29,20 @@ const SHARE: f64 = 0.3;
 /// What answers with less than this share of the pressure does not hang on the channel.
 const ANSWER: f64 = 0.3;
 
-/// A channel that rig.toml names, and its FREE.
+/// A channel of a DAC, or a PWM output, that rig.toml names, and its FREE.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wired {
     /// Index of the FREE.
     pub free: usize,
     /// Its name.
     pub name: String,
-    /// `channel B of 0x60 on main`.
+    /// `channel B of 0x60 on main`, `pwm B on line`.
     pub channel: String,
-    /// `B`.
-    pub letter: char,
+    /// What rig.toml says of it: `channel = "B"`, `unit = "B"`.
+    pub key: String,
 }
 
-/// The FREEs of `rig` that hang on DACs, in their order.
+/// The FREEs of `rig` that hang on DACs and PWM outputs, in their order.
 pub fn wired(rig: &Rig) -> Vec<Wired> {
     let mut wired = Vec::new();
     for bus in &rig.wiring.i2c {
@@ -53,10 +53,18 @@ pub fn wired(rig: &Rig) -> Vec<Wired> {
                     free: channel.free,
                     name: rig.control.frees[channel.free].name.clone(),
                     channel: format!("channel {letter} of {:#04x} on {}", dac.address, bus.name),
-                    letter,
+                    key: format!("channel = \"{letter}\""),
                 });
             }
         }
+    }
+    for line in &rig.wiring.serial {
+        wired.extend(line.pwms.iter().map(|pwm| Wired {
+            free: pwm.channel.free,
+            name: rig.control.frees[pwm.channel.free].name.clone(),
+            channel: format!("pwm {} on {}", char::from(pwm.id), line.name),
+            key: format!("unit = \"{}\"", char::from(pwm.id)),
+        }));
     }
     wired.sort_by_key(|w| w.free);
     wired
@@ -136,7 +144,7 @@ pub fn evaluate(rig: &Rig, run: &Run) -> Result<String, CalibrationError> {
     };
     let map = map_channels(&trials, least).map_err(|error| {
         unfit(format!(
-            "{error}. Here {}. Look at the tubes, the regulators' supply and cables, and at `channel` in rig.toml",
+            "{error}. Here {}. Look at the tubes, the regulators' supply and cables, and at `channel` or `unit` in rig.toml",
             legend()
         ))
     })?;
@@ -150,10 +158,7 @@ fn compare(wired: &[Wired], map: &ChannelMap) -> Result<(), String> {
     let wrong = map.channels.iter().enumerate().filter(|(pressure, channel)| pressure != *channel);
     let change = |(pressure, channel): (usize, &usize)| {
         let (free, really) = (&wired[pressure], &wired[*channel]);
-        format!(
-            "`{}` is fed by {}, not by {}: write `channel = \"{}\"` for it",
-            free.name, really.channel, free.channel, really.letter
-        )
+        format!("`{}` is fed by {}, not by {}: write `{}` for it", free.name, really.channel, free.channel, really.key)
     };
     let changes: Vec<_> = wrong.map(change).collect();
     if changes.is_empty() { Ok(()) } else { Err(changes.join("; ")) }

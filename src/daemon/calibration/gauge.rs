@@ -1,4 +1,4 @@
-//! Zero, span and hysteresis of an analogue regulator behind a DAC: a staircase of codes against a gauge that a person
+//! Zero, span and hysteresis of an analogue regulator behind a DAC or a PWM output: a staircase of codes against a gauge that a person
 //! reads.
 
 use std::fmt::Write as _;
@@ -65,7 +65,8 @@ pub fn spans() -> Vec<(f64, f64)> {
 /// The channel of the FREE `subject`; none where it has another regulator.
 pub fn channel(rig: &Rig, subject: usize) -> Option<DacChannel> {
     let dacs = rig.wiring.i2c.iter().flat_map(|bus| &bus.dacs);
-    dacs.flat_map(|dac| dac.channels).flatten().find(|channel| channel.free == subject)
+    let pwms = rig.wiring.serial.iter().flat_map(|line| &line.pwms).map(|pwm| pwm.channel);
+    dacs.flat_map(|dac| dac.channels).flatten().chain(pwms).find(|channel| channel.free == subject)
 }
 
 /// What the `readings` (Pa, one at each of [`pressures`]) say of the regulator of the FREE `subject` of `rig`. `run` is

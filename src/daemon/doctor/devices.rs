@@ -13,6 +13,7 @@ use crate::hardware::ads1115::Ads1115;
 use crate::hardware::alicat::Unit;
 use crate::hardware::bno055::Bno055;
 use crate::hardware::mcp4728::Mcp4728;
+use crate::hardware::pwm::PwmOutput;
 use crate::hardware::serial_line::Line;
 use crate::hardware::wiring::{I2cWiring, ImuWiring, SerialWiring, UnitWiring};
 use crate::hardware::{HardwareError, Imu, i2c, serial};
@@ -180,6 +181,19 @@ async fn ask_units(subject: String, shown: &str, wiring: &SerialWiring, clock: &
             Ok((found, None)) => Finding::ok(name, found),
             Ok((found, Some(remedy))) => Finding::fail(name, found, remedy),
             Err(error) => failure(name, &error),
+        });
+    }
+    for pwm in &wiring.pwms {
+        let Some(mut output) = PwmOutput::new(*pwm, &wiring.name) else { continue };
+        let subject = format!("PWM output {}", char::from(pwm.id));
+        tell(match output.on(&mut line).identify().await {
+            Ok(sample) if sample.status.intersects(TROUBLE) => Finding::fail(
+                subject,
+                "it does not stay at the duty that it is told",
+                "look at its supply (does it reset?) and at its firmware",
+            ),
+            Ok(_) => Finding::ok(subject, format!("{}, duty zero", output.identity())),
+            Err(error) => failure(subject, &error.at(output.device())),
         });
     }
 }

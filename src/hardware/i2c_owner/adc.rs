@@ -6,7 +6,8 @@ use std::time::Duration;
 use embedded_hal::i2c::I2c;
 
 use super::handle::{Handle, Open};
-use super::recovery::{ADC_LOST_AFTER, Recovery, Rung, with_retries};
+use super::link::{Link, Standing};
+use super::recovery::{ADC_LOST_AFTER, with_retries};
 use crate::clock::{Clock, Time};
 use crate::hardware::ads1115::{Ads1115, CONVERSION_TIME};
 use crate::hardware::statistics::DeviceStatistics;
@@ -24,12 +25,7 @@ pub(super) struct AdcSeat<I> {
     /// Samples of this turn by channel, until they are published.
     pub staged: [Option<PressureSample>; 4],
     name: String,
-    driver: Option<Ads1115<Handle<I>>>,
-    /// Whether the driver's bus is open.
-    open: bool,
-    running: bool,
-    resume: Time,
-    recovery: Recovery,
+    link: Link<Ads1115<Handle<I>>>,
     /// The channel under conversion, and since when.
     channel: usize,
     begun: Time,
@@ -45,11 +41,7 @@ impl<I: I2c> AdcSeat<I> {
             wiring,
             due: now,
             staged: [None; 4],
-            driver: None,
-            open: false,
-            running: false,
-            resume: now,
-            recovery: Recovery::new(ADC_LOST_AFTER),
+            link: Link::new(ADC_LOST_AFTER, now),
             channel: 0,
             begun: now,
             sequence: 0,
@@ -58,9 +50,9 @@ impl<I: I2c> AdcSeat<I> {
 
     /// One turn: fetches a conversion and begins the next.
     pub fn turn(&mut self, clock: &Clock, open: Open<'_, I>) {
-        if self.running {
+        if self.link.running().is_some() {
             self.read(clock, open);
-        } else if clock.now() >= self.resume {
+        } else {
             self.connect(clock, open);
         }
         self.due = self.due + ADC_TURN;
@@ -70,15 +62,12 @@ impl<I: I2c> AdcSeat<I> {
     }
 
     fn read(&mut self, clock: &Clock, open: Open<'_, I>) {
-        let Some(driver) = &mut self.driver else {
-            self.running = false;
-            return;
-        };
+        let Some(driver) = self.link.running() else { return };
         let channel = self.channel;
         match with_retries(clock, &self.statistics, || driver.finish(channel)) {
             Ok(volts) => {
                 self.statistics.reads.increment();
-                self.recovery.succeeded();
+                self.link.succeeded();
                 if let Some(map) = self.wiring.channels[channel] {
                     let pressure = map.pascals_per_volt * (volts - map.zero_volts);
                     self.stage(channel, self.begun + CONVERSION_TIME, pressure, RegulatorHealth::Good);
@@ -88,7 +77,8 @@ impl<I: I2c> AdcSeat<I> {
             Err(_) => {
                 // It may have been reset: the same channel anew, whatever else is tried.
                 self.begin(channel, clock);
-                self.climb(clock, open);
+                let standing = self.link.climb(clock, open, &self.statistics);
+                self.say_if_lost(standing, clock);
             }
         }
     }
@@ -100,54 +90,22 @@ impl<I: I2c> AdcSeat<I> {
 
     /// A failure to begin shows when the conversion is fetched.
     fn begin(&mut self, channel: usize, clock: &Clock) {
-        if let Some(driver) = &mut self.driver {
+        if let Some(driver) = self.link.driver() {
             let _ = driver.start(channel);
         }
         (self.channel, self.begun) = (channel, clock.now());
     }
 
     fn connect(&mut self, clock: &Clock, open: Open<'_, I>) {
-        let connected = match &mut self.driver {
-            Some(driver) => driver.connect(),
-            none => match open() {
-                Ok(bus) => {
-                    self.open = true;
-                    none.insert(Ads1115::new(Handle::on(bus), &self.name, self.wiring.address)).connect()
-                }
-                Err(error) => Err(error),
-            },
-        };
-        match connected {
-            Ok(identity) => {
-                self.statistics.note_connected(identity);
-                self.running = true;
-                self.recovery.succeeded();
-                self.begin(self.next(3), clock);
-            }
-            Err(error) => {
-                self.statistics.note_error(&error);
-                self.climb(clock, open);
-                self.resume = clock.now() + self.recovery.pace(clock.now());
-            }
+        let (name, address) = (&self.name, self.wiring.address);
+        match self.link.set_up(clock, open, &self.statistics, |bus| Ads1115::new(bus, name, address)) {
+            Standing::Up => self.begin(self.next(3), clock),
+            standing => self.say_if_lost(standing, clock),
         }
     }
 
-    fn climb(&mut self, clock: &Clock, open: Open<'_, I>) {
-        let was_lost = self.recovery.is_lost();
-        let rung = self.recovery.failed(clock.now(), clock.now());
-        if (matches!(rung, Rung::Reopen | Rung::Lost) || !self.open)
-            && let Some(driver) = &mut self.driver
-        {
-            self.open = Handle::renew(open, &self.statistics, |bus| driver.replace_bus(bus));
-        }
-        if matches!(rung, Rung::Restart | Rung::Lost) {
-            self.running = false;
-            self.resume = clock.now() + self.recovery.pace(clock.now());
-        }
-        if rung == Rung::Lost {
-            if !was_lost {
-                self.statistics.losses.increment();
-            }
+    fn say_if_lost(&mut self, standing: Standing, clock: &Clock) {
+        if standing == Standing::Lost {
             for channel in 0..4 {
                 self.stage(channel, clock.now(), f64::NAN, RegulatorHealth::Lost);
             }

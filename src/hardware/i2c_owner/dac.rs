@@ -6,12 +6,13 @@ use std::time::Duration;
 use embedded_hal::i2c::I2c;
 
 use super::handle::{Handle, Open};
-use super::recovery::{DAC_LOST_AFTER, Recovery, Rung, with_retries};
+use super::link::{Link, Standing};
+use super::recovery::{DAC_LOST_AFTER, with_retries};
 use crate::clock::{Clock, Time};
+use crate::hardware::HardwareError;
 use crate::hardware::mcp4728::{Mcp4728, codes_of};
 use crate::hardware::statistics::DeviceStatistics;
 use crate::hardware::wiring::DacWiring;
-use crate::hardware::{HardwareError, Identity};
 use crate::signal::{MAX_FREES, PressureSample, RegulatorHealth, RegulatorStatus};
 
 /// How often every DAC is written, changed or not: 0.3 ms of a 400 kHz bus.
@@ -27,13 +28,8 @@ pub(super) struct DacSeat<I> {
     /// Samples of this turn by channel, until they are published.
     pub staged: [Option<PressureSample>; 4],
     name: String,
-    driver: Option<Mcp4728<Handle<I>>>,
-    /// Whether the driver's bus is open.
-    open: bool,
-    running: bool,
-    resume: Time,
+    link: Link<Mcp4728<Handle<I>>>,
     verified: Time,
-    recovery: Recovery,
     codes: [u16; 4],
     sequence: u32,
 }
@@ -47,12 +43,8 @@ impl<I: I2c> DacSeat<I> {
             wiring,
             due: now,
             staged: [None; 4],
-            driver: None,
-            open: false,
-            running: false,
-            resume: now,
+            link: Link::new(DAC_LOST_AFTER, now),
             verified: now,
-            recovery: Recovery::new(DAC_LOST_AFTER),
             codes: [0; 4],
             sequence: 0,
         }
@@ -65,9 +57,9 @@ impl<I: I2c> DacSeat<I> {
 
     /// One turn: set-points by FREE, Pa, in one transfer.
     pub fn turn(&mut self, clock: &Clock, open: Open<'_, I>, pressure: &[f64; MAX_FREES]) {
-        if self.running {
+        if self.link.running().is_some() {
             self.write(clock, open, codes_of(&self.wiring, pressure));
-        } else if clock.now() >= self.resume {
+        } else {
             self.connect(clock, open);
         }
         self.due = self.due + DAC_PERIOD;
@@ -78,7 +70,7 @@ impl<I: I2c> DacSeat<I> {
 
     /// Zero now, and read back: for the end, when nobody commands any more.
     pub fn shut_down(&mut self) -> Result<(), HardwareError> {
-        let Some(driver) = &mut self.driver else { return Ok(()) };
+        let Some(driver) = self.link.driver() else { return Ok(()) };
         if driver.zero().is_err() {
             // Its own address is not acknowledged: the last that can be tried.
             driver.reset_all()?;
@@ -88,10 +80,7 @@ impl<I: I2c> DacSeat<I> {
     }
 
     fn write(&mut self, clock: &Clock, open: Open<'_, I>, codes: [u16; 4]) {
-        let Some(driver) = &mut self.driver else {
-            self.running = false;
-            return;
-        };
+        let Some(driver) = self.link.running() else { return };
         let verify = clock.now().since(self.verified) >= VERIFY_PERIOD;
         let outcome = with_retries(clock, &self.statistics, || {
             // Before the write: it shows what the outputs did since the last one.
@@ -107,7 +96,8 @@ impl<I: I2c> DacSeat<I> {
                 RegulatorStatus::ECHO_MISMATCH
             }
             Err(_) => {
-                self.climb(clock, open);
+                let standing = self.link.climb(clock, open, &self.statistics);
+                self.say_if_lost(standing, clock);
                 return;
             }
         };
@@ -115,58 +105,26 @@ impl<I: I2c> DacSeat<I> {
             self.verified = clock.now();
         }
         self.statistics.reads.increment();
-        self.recovery.succeeded();
+        self.link.succeeded();
         self.codes = codes;
         self.stage(clock.now(), RegulatorHealth::Unmeasured, status);
     }
 
     fn connect(&mut self, clock: &Clock, open: Open<'_, I>) {
-        match self.try_connect(clock, open) {
-            Ok(identity) => {
-                self.statistics.note_connected(identity);
-                self.running = true;
+        let (name, address) = (&self.name, self.wiring.address);
+        let make = |bus| Mcp4728::new(bus, clock.clone(), name, address);
+        match self.link.set_up(clock, open, &self.statistics, make) {
+            Standing::Up => {
                 self.codes = [0; 4];
                 self.verified = clock.now();
-                self.recovery.succeeded();
                 self.stage(clock.now(), RegulatorHealth::Unmeasured, RegulatorStatus::default());
             }
-            Err(error) => {
-                self.statistics.note_error(&error);
-                self.climb(clock, open);
-                self.resume = clock.now() + self.recovery.pace(clock.now());
-            }
+            standing => self.say_if_lost(standing, clock),
         }
     }
 
-    fn try_connect(&mut self, clock: &Clock, open: Open<'_, I>) -> Result<Identity, HardwareError> {
-        let driver = match &mut self.driver {
-            Some(driver) => driver,
-            none => {
-                let bus = Handle::on(open()?);
-                self.open = true;
-                none.insert(Mcp4728::new(bus, clock.clone(), &self.name, self.wiring.address))
-            }
-        };
-        driver.connect()
-    }
-
-    fn climb(&mut self, clock: &Clock, open: Open<'_, I>) {
-        let was_lost = self.recovery.is_lost();
-        let rung = self.recovery.failed(clock.now(), clock.now());
-        if (matches!(rung, Rung::Reopen | Rung::Lost) || !self.open)
-            && let Some(driver) = &mut self.driver
-        {
-            self.open = Handle::renew(open, &self.statistics, |bus| driver.replace_bus(bus));
-        }
-        if matches!(rung, Rung::Restart | Rung::Lost) {
-            // From here the way back leads through `connect`: its first frame is zero.
-            self.running = false;
-            self.resume = clock.now() + self.recovery.pace(clock.now());
-        }
-        if rung == Rung::Lost {
-            if !was_lost {
-                self.statistics.losses.increment();
-            }
+    fn say_if_lost(&mut self, standing: Standing, clock: &Clock) {
+        if standing == Standing::Lost {
             self.stage(clock.now(), RegulatorHealth::Lost, RegulatorStatus::default());
         }
     }

@@ -12,6 +12,7 @@ mod adc;
 mod dac;
 mod handle;
 mod imu;
+mod link;
 mod recovery;
 
 use std::sync::Arc;

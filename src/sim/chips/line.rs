@@ -1,4 +1,4 @@
-//! A simulated serial line with Alicat units on it: byte times, framing, the rules of when one may speak.
+//! A simulated serial line with Alicat units and PWM outputs on it: byte times, framing, the rules of when one may speak.
 //!
 //! [`SerialLine`] is reactive: it is given bytes with the time of their coming, and asked what it has to send.
 //! Two fronts put it before the real driver: [`MemoryStream`] on any clock, the stepped one above all, and
@@ -16,7 +16,7 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use super::{AlicatChip, Misbehaviour, Mischief};
+use super::{AlicatChip, Misbehaviour, Mischief, PwmChip};
 use crate::clock::{Clock, Sleep, Time};
 
 /// Bits on the wire for one byte.
@@ -30,8 +30,66 @@ const BABBLE_MEMORY: Duration = Duration::from_millis(50);
 /// Longer commands are noise.
 const LONGEST_COMMAND: usize = 64;
 
+/// What hangs on the line.
+pub enum SerialChip {
+    /// An Alicat unit.
+    Alicat(AlicatChip),
+    /// A PWM output.
+    Pwm(PwmChip),
+}
+
+impl From<AlicatChip> for SerialChip {
+    fn from(chip: AlicatChip) -> Self {
+        Self::Alicat(chip)
+    }
+}
+
+impl From<PwmChip> for SerialChip {
+    fn from(chip: PwmChip) -> Self {
+        Self::Pwm(chip)
+    }
+}
+
+impl SerialChip {
+    fn id(&self) -> u8 {
+        match self {
+            Self::Alicat(chip) => chip.id(),
+            Self::Pwm(chip) => chip.id(),
+        }
+    }
+
+    fn power_off(&mut self, now: Time) {
+        match self {
+            Self::Alicat(chip) => chip.power_off(),
+            Self::Pwm(chip) => chip.power_off(now),
+        }
+    }
+
+    fn power_on(&mut self, now: Time) {
+        match self {
+            Self::Alicat(chip) => chip.power_on(now),
+            Self::Pwm(chip) => chip.power_on(now),
+        }
+    }
+
+    fn freeze(&mut self, frozen: bool, now: Time) {
+        match self {
+            Self::Alicat(chip) => chip.freeze(frozen, now),
+            Self::Pwm(chip) => chip.freeze(frozen),
+        }
+    }
+
+    /// What it answers to a command (without id and CR), with its CRs; nothing where it does not answer.
+    fn command(&mut self, command: &[u8], now: Time) -> Vec<u8> {
+        match self {
+            Self::Alicat(chip) => chip.command(command, now),
+            Self::Pwm(chip) => chip.command(command, now),
+        }
+    }
+}
+
 struct Seat {
-    chip: AlicatChip,
+    chip: SerialChip,
     mischief: Mischief,
 }
 
@@ -86,15 +144,22 @@ impl SerialLine {
     }
 
     /// Connects a unit; the handle makes it misbehave.
-    pub fn attach(&mut self, chip: AlicatChip) -> Mischief {
+    pub fn attach(&mut self, chip: impl Into<SerialChip>) -> Mischief {
         let mischief = Mischief::default();
-        self.seats.push(Seat { chip, mischief: mischief.clone() });
+        self.seats.push(Seat { chip: chip.into(), mischief: mischief.clone() });
         mischief
     }
 
-    /// The unit with this id.
+    /// The Alicat unit with this id.
     pub fn unit(&mut self, id: u8) -> Option<&mut AlicatChip> {
-        self.seats.iter_mut().map(|s| &mut s.chip).find(|c| c.id() == id)
+        let chip = self.seats.iter_mut().map(|s| &mut s.chip).find(|c| c.id() == id)?;
+        if let SerialChip::Alicat(unit) = chip { Some(unit) } else { None }
+    }
+
+    /// The PWM output with this id.
+    pub fn output(&mut self, id: u8) -> Option<&mut PwmChip> {
+        let chip = self.seats.iter_mut().map(|s| &mut s.chip).find(|c| c.id() == id)?;
+        if let SerialChip::Pwm(output) = chip { Some(output) } else { None }
     }
 
     /// Pulls the plug (the units keep their power), or plugs it in again; what was under way is lost.
@@ -110,9 +175,9 @@ impl SerialLine {
 
     /// Ends a unit's babble, by power off and on.
     pub fn hush(&mut self) {
-        if let Some(unit) = self.babbler.take().and_then(|id| self.unit(id)) {
-            unit.power_off();
-        }
+        let Some(babbler) = self.babbler.take() else { return };
+        let (now, seats) = (self.spoke_until, self.seats.iter_mut());
+        seats.filter(|s| s.chip.id() == babbler).for_each(|s| s.chip.power_off(now));
     }
 
     /// Every complete command that arrives at the units from now on, without its CR; grows until it is emptied.
@@ -216,7 +281,7 @@ impl SerialLine {
         let mut delay = Duration::ZERO;
         let mut reply = match how {
             Misbehaviour::Silent => {
-                chip.power_off();
+                chip.power_off(at);
                 return;
             }
             Misbehaviour::Nak => b"?\r".to_vec(),
@@ -231,7 +296,7 @@ impl SerialLine {
             }
             _ => chip.command(rest, at),
         };
-        if babbler.is_some() {
+        if babbler.is_some() || reply.is_empty() {
             return;
         }
         match how {

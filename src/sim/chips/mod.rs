@@ -9,6 +9,7 @@ mod i2c;
 mod line;
 mod mcp4728;
 mod pty;
+mod pwm;
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -17,9 +18,10 @@ pub use ads1115::{Ads1115Chip, VoltageSource};
 pub use alicat::AlicatChip;
 pub use bno055::{Bno055Chip, Bno055Sim, Motion, Orientation};
 pub use i2c::{I2cChip, Nak, SimI2c, SimI2cError};
-pub use line::{MemoryStream, SerialLine};
+pub use line::{MemoryStream, SerialChip, SerialLine};
 pub use mcp4728::{DacRegister, Mcp4728Chip, VoltageSink};
 pub use pty::{Promote, Pty};
+pub use pwm::PwmChip;
 
 /// Ways in which a chip can go wrong.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -27,7 +29,7 @@ pub enum Misbehaviour {
     /// It does not.
     #[default]
     None,
-    /// Refuses: the I2C address is not acknowledged; a serial unit rejects the command with `?`. State is kept.
+    /// Refuses: the I2C address is not acknowledged; a unit on a serial line answers `?`. State is kept.
     Nak,
     /// Loses its power for a moment before the exchange and starts from nothing, as after a brown-out.
     Reset,
@@ -41,7 +43,7 @@ pub enum Misbehaviour {
     Late(Duration),
     /// Unplugged: no answer at all. Afterwards it starts from nothing, as after [`Misbehaviour::Reset`].
     Silent,
-    /// Answers, but always with the readings of the moment it got stuck.
+    /// Answers, but always with the readings of the moment it got stuck; a PWM output with its latest answer.
     Stuck,
     /// Answers with another unit's id (serial; elsewhere as [`Misbehaviour::Garbage`]).
     WrongId,
