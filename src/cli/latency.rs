@@ -250,7 +250,8 @@ fn microseconds(nanoseconds: Option<u64>) -> String {
     nanoseconds.map_or_else(|| "-".into(), |ns| format!("{:.1} us", ns as f64 / 1e3))
 }
 
-fn kernel() -> String {
+/// Release, and whether it is a real-time kernel.
+pub(super) fn kernel() -> String {
     let uname = rustix::system::uname();
     let realtime = std::fs::read_to_string("/sys/kernel/realtime").is_ok_and(|text| text.trim() == "1");
     format!("{}, {}", uname.release().to_string_lossy(), if realtime { "PREEMPT_RT" } else { "not PREEMPT_RT" })

@@ -33,6 +33,45 @@ pub struct BenchRow {
     pub failed: bool,
 }
 
+/// How one side of a comparison did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Timed {
+    /// Program, version, method and resolution.
+    pub who: String,
+    /// Its relative error.
+    pub error: f64,
+    /// Processor time, s.
+    pub time_s: f64,
+}
+
+impl Timed {
+    /// The curve `label` of `runs`: decimal logarithms of time in ms and of error.
+    pub fn curve(label: String, runs: &[Timed]) -> Curve {
+        let log = |x: f64| x.max(f64::MIN_POSITIVE).log10();
+        (label, runs.iter().map(|r| log(1e3 * r.time_s)).collect(), runs.iter().map(|r| log(r.error)).collect())
+    }
+}
+
+/// A comparison at equal error: the cheapest of either side whose error is at most `error`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Claim {
+    /// What both solved.
+    pub task: String,
+    /// The error that both keep.
+    pub error: f64,
+    /// freerig.
+    pub own: Timed,
+    /// The other one.
+    pub peer: Timed,
+}
+
+impl Claim {
+    /// How many times as long the peer takes.
+    pub fn ratio(&self) -> f64 {
+        self.peer.time_s / self.own.time_s
+    }
+}
+
 /// A curve of the drawing: what the legend calls it, x and y.
 pub type Curve = (String, Vec<f64>, Vec<f64>);
 
@@ -47,6 +86,8 @@ pub struct BenchSuite {
     pub facts: Vec<(String, String)>,
     /// Every method on every case.
     pub rows: Vec<BenchRow>,
+    /// What takes how much longer elsewhere.
+    pub claims: Vec<Claim>,
     /// A table of its own instead of the rows', Markdown.
     pub table: Option<String>,
     /// Caption of the drawing.
@@ -75,14 +116,19 @@ impl BenchSuite {
         let sheet = Sheet {
             title: self.title.into(),
             simulated: true,
-            facts: self.facts.iter().cloned().chain(facts).collect(),
+            facts: self.said().into_iter().chain(facts).collect(),
             figures: vec![(self.caption.into(), plot)],
             ..Sheet::default()
         };
         sheet.write(&file("html"))
     }
 
-    fn plot(&self) -> Plot {
+    /// The facts and the comparisons at equal error: names and values.
+    pub fn said(&self) -> Vec<(String, String)> {
+        self.facts.iter().cloned().chain(self.claims.iter().map(super::bench_page::fact)).collect()
+    }
+
+    pub(super) fn plot(&self) -> Plot {
         let line = |(i, (label, x, y)): (usize, &Curve)| Line::new(label, COLORS[i % COLORS.len()], x, y.clone());
         Plot {
             x_label: self.x_label.into(),

@@ -11,6 +11,7 @@
 //! A run that was killed is readable up to its last whole batch (100 ms); its `run.rrd` lacks its last sixtieth.
 
 mod bench;
+mod bench_page;
 mod blueprint;
 mod columns;
 mod comparison;
@@ -53,7 +54,8 @@ mod way;
 mod whisk;
 mod workspace;
 
-pub use bench::{BenchRow, BenchSuite, Curve};
+pub use bench::{BenchRow, BenchSuite, Claim, Curve, Timed};
+pub use bench_page::BenchReport;
 pub use columns::column_name;
 pub use comparison::{Comparison, Deviation, Row};
 pub use design::design_sheet;

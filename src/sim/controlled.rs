@@ -27,15 +27,12 @@ use crate::units::PASCAL_PER_PSI as PSI;
 
 /// The tick.
 pub const TICK: Duration = Duration::from_millis(2);
-/// Ticks from one IMU sample to the next, and from one transaction with the regulator to the next.
-const IMU_TICKS: u64 = 5;
-const REGULATOR_TICKS: u64 = 8;
 /// Coordinate descent of the hysteresis weights: rounds.
 const ROUNDS: usize = 400;
 /// Stable: over the last half second the angle moves by less, rad.
 const SWING_MAX: f64 = 0.0175;
-/// Ticks of that half second.
-const TAIL: usize = 250;
+/// That half second.
+const TAIL: Duration = Duration::from_millis(500);
 
 /// Why a loop did not run.
 #[derive(Debug, Error)]
@@ -133,6 +130,7 @@ pub struct Controlled {
     /// The plant.
     pub plant: Plant,
     imu: ImuSim,
+    tick: Duration,
     rng: Pcg64,
     input: TickInput,
     command: f64,
@@ -142,13 +140,14 @@ pub struct Controlled {
 }
 
 impl Controlled {
-    /// `control` of the first FREE of `plant`, both at rest.
+    /// `control` of the first FREE of `plant`, both at rest; it ticks as fast as `control` says.
     pub fn new(control: &ControlConfig, plant: &BenchConfig) -> Result<Self, ControlledError> {
         let at = Time::from_nanos(1_000_000_000);
         Ok(Self {
             controller: Controller::new(control)?,
             plant: Plant::new(plant).starting_at(at),
             imu: plant.imu,
+            tick: control.period,
             rng: Pcg64::seed_from_u64(plant.seed ^ 0x5eed),
             input: TickInput {
                 tick: 0,
@@ -176,14 +175,25 @@ impl Controlled {
         StandardNormal.sample(&mut self.rng)
     }
 
+    /// Ticks in `seconds`.
+    fn ticks(&self, seconds: f64) -> u32 {
+        (seconds / self.tick.as_secs_f64()) as u32
+    }
+
+    /// Whether this tick is the first one in a period of a device.
+    fn due(&self, period: Duration) -> bool {
+        let now = u128::from(self.input.tick) * self.tick.as_nanos();
+        now % period.as_nanos() < self.tick.as_nanos()
+    }
+
     /// One tick: samples, controller, command.
     pub fn tick(&mut self, request: Option<Request>) -> TickRecord {
         self.input.tick += 1;
-        self.input.time = self.input.time + TICK;
+        self.input.time = self.input.time + self.tick;
         self.input.request = request;
-        let (tick, time) = (self.input.tick, self.input.time);
+        let time = self.input.time;
         self.plant.advance_to(time);
-        if tick.is_multiple_of(IMU_TICKS) {
+        if self.due(IMU.period) {
             let motion = self.plant.orientation(0, time - self.imu.delay);
             let half = 0.5 * self.imu.noise * self.normal();
             let (sin, cos) = half.sin_cos();
@@ -201,7 +211,7 @@ impl Controlled {
                 health: ImuHealth::Good,
             };
         }
-        if tick.is_multiple_of(REGULATOR_TICKS) {
+        if self.due(REGULATOR.period) {
             self.input.pressure[0] = PressureSample {
                 time,
                 sequence: self.input.pressure[0].sequence + 1,
@@ -213,7 +223,7 @@ impl Controlled {
         }
         let record = self.controller.tick(&self.input);
         self.controller.take_retired();
-        if tick.is_multiple_of(REGULATOR_TICKS) {
+        if self.due(REGULATOR.period) {
             self.command = record.frees[0].command;
             self.plant.set_setpoint(0, self.command, time);
         }
@@ -227,7 +237,7 @@ impl Controlled {
             self.tick(None);
         }
         let refusal = self.tick(Some(Request::Arm)).refusal;
-        let armed = refusal == Refusal::NONE && (0..500).any(|_| self.tick(None).state == State::Hold);
+        let armed = refusal == Refusal::NONE && (0..self.ticks(1.0)).any(|_| self.tick(None).state == State::Hold);
         if !armed {
             return Err(ControlledError::Stays(self.last, refusal.code));
         }
@@ -235,12 +245,17 @@ impl Controlled {
         Ok(())
     }
 
+    /// `sequence` of the angle (rad) as a program.
+    pub fn program(sequence: &Sequence) -> Result<Arc<Program>, ControlledError> {
+        let axis = Axis { quantity: Quantity::Angle, sequence: sequence.clone() };
+        Ok(Arc::new(Program::new([(0, axis)])?))
+    }
+
     /// Runs `sequence` of the angle (rad) for its duration and returns what came of it.
     pub fn run(&mut self, sequence: &Sequence) -> Result<Course, ControlledError> {
-        let axis = Axis { quantity: Quantity::Angle, sequence: sequence.clone() };
-        let program = Arc::new(Program::new([(0, axis)])?);
+        let program = Self::program(sequence)?;
         let mut course = Course::default();
-        let ticks = (sequence.duration() / TICK.as_secs_f64()) as u32;
+        let ticks = self.ticks(sequence.duration());
         let mut request = Some(Request::Start { program, attended: false, identify: false });
         for _ in 0..ticks {
             let record = self.tick(request.take());
@@ -255,7 +270,7 @@ impl Controlled {
     /// Down, and back to Disarmed.
     pub fn disarm(&mut self) -> Result<(), ControlledError> {
         let refusal = self.tick(Some(Request::Disarm)).refusal;
-        if (0..5000).any(|_| self.tick(None).state == State::Disarmed) {
+        if (0..self.ticks(10.0)).any(|_| self.tick(None).state == State::Disarmed) {
             return Ok(());
         }
         Err(ControlledError::Stays(self.last, refusal.code))
@@ -343,7 +358,8 @@ pub fn follow(control: &ControlConfig, bench: &BenchConfig, sequence: &Sequence)
     controlled.arm()?;
     let course = controlled.run(sequence)?;
     let (rms, peak) = course.errors();
-    let tail = &course.samples[course.samples.len().saturating_sub(TAIL)..];
+    let tail = (TAIL.as_secs_f64() / control.period.as_secs_f64()) as usize;
+    let tail = &course.samples[course.samples.len().saturating_sub(tail)..];
     let (low, high) = tail.iter().fold((f64::MAX, f64::MIN), |(a, b), s| (a.min(s.2), b.max(s.2)));
     let stable = course.state == State::Track && high - low < SWING_MAX;
     Ok(Followed { rms: rms.to_radians(), peak: peak.to_radians(), stable })

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use super::{Size, in_parallel, quantile, row};
+use super::{Size, in_parallel, locus, quantile, row};
 use crate::cli::Failure;
 use crate::config::gains::preset;
 use crate::control::tune::Target;
@@ -67,16 +67,18 @@ pub(super) fn run(size: &Size<'_>) -> Result<BenchSuite, Failure> {
     let beside = comparison.iter().map(|(method, all)| format!("{method} {:.3} deg", degrees(all)));
     facts.push(("calibrated FREEs, median RMS error".into(), beside.collect::<Vec<_>>().join(", ")));
     facts.push(("wall time".into(), format!("{:.1} s", start.elapsed().as_secs_f64())));
+    let claims = locus::beside(&mut rows)?.into_iter().collect();
     Ok(BenchSuite {
         name: SUITE,
         title: "Control of plants that are not the model",
         facts,
         rows,
-        table: None,
+        claims,
         caption: "RMS error of the paper's trajectory over plants of which every parameter is off by up to 20 %",
         x_label: "share of the plants (%)",
         y_label: "RMS error (deg)",
         curves,
+        ..BenchSuite::default()
     })
 }
 

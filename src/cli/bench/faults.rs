@@ -47,6 +47,7 @@ pub(super) fn run(size: &Size<'_>) -> Result<BenchSuite, Failure> {
         x_label: "code",
         y_label: "share of the limit (%)",
         curves: vec![("detection".into(), x.clone(), detection), ("vent or ramp".into(), x, fall)],
+        ..BenchSuite::default()
     })
 }
 

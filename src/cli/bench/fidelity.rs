@@ -55,11 +55,11 @@ pub(super) fn run(size: &Size) -> Result<BenchSuite, Failure> {
         title: "Choice of the model: estimated against true error, and cost",
         facts,
         rows,
-        table: None,
         caption: "Estimated over true error of what `auto` chose; below the line the estimate is too small",
         x_label: "log10 of the true relative error",
         y_label: "log10 of the estimated one",
         curves,
+        ..BenchSuite::default()
     })
 }
 

@@ -1,17 +1,21 @@
 //! Ring-downs of FREEs that the fit does not know: errors, coverage, time; and the two plain methods beside it.
 
-use std::time::Instant;
+use serde_json::json;
 
-use super::{Size, in_parallel, row};
+use super::claim::claim;
+use super::peer::{self, Peer};
+use super::{Size, in_parallel, row, stopwatch};
 use crate::cli::Failure;
 use crate::ident::ringdown::{PlainDecay, curve_fit, log_decrement};
-use crate::record::BenchSuite;
+use crate::record::{BenchRow, BenchSuite, Claim, Timed};
 use crate::sim::identification::{CYCLES, Errors, Study, record, trial};
 use crate::sim::ringdown::{Plucked, Sensing};
 
 const SUITE: &str = "identification";
 /// Lengths of the records, cycles at most, and noise of the angles, deg, of the comparison.
 const CASES: [(f64, f64); 5] = [(2.0, 0.05), (5.0, 0.05), (30.0, 0.01), (30.0, 0.05), (30.0, 0.2)];
+/// The case in which scipy is compared.
+const COMPARED: (f64, f64) = (30.0, 0.05);
 /// Of so many FREEs of the study the comparison takes one.
 const SHARE: u64 = 5;
 /// Seeds of the sensor's noise in the study and in the comparison.
@@ -20,11 +24,10 @@ const METHODS: [&str; 3] = ["this fit", "log decrement", "curve fit"];
 
 /// Runs the study, then the comparison.
 pub(super) fn run(size: &Size<'_>) -> Result<BenchSuite, Failure> {
-    let start = Instant::now();
     let study = |seed| {
-        let begun = Instant::now();
+        let begun = stopwatch::thread_time();
         let found = trial(seed, &Sensing::imu(SEEDS.0 + seed), CYCLES);
-        (found, begun.elapsed().as_secs_f64())
+        (found, stopwatch::thread_time() - begun)
     };
     let all = in_parallel("identification", "FREEs", size.count, study);
     let time = all.iter().map(|t| t.1).sum::<f64>() / all.len() as f64;
@@ -48,6 +51,7 @@ pub(super) fn run(size: &Size<'_>) -> Result<BenchSuite, Failure> {
         ),
     ];
     let some = (size.count / SHARE).max(1);
+    let mut own = Vec::new();
     let mut curves: Vec<_> = METHODS.iter().map(|m| ((*m).to_owned(), Vec::new(), Vec::new())).collect();
     for (cycles, noise) in CASES {
         let sensing = |seed| Sensing { noise: f64::to_radians(noise), ..Sensing::imu(SEEDS.1 + seed) };
@@ -56,14 +60,14 @@ pub(super) fn run(size: &Size<'_>) -> Result<BenchSuite, Failure> {
             let one = |seed| {
                 let truth = Plucked::seeded(seed);
                 let (times, angles) = record(&truth, &sensing(seed), cycles);
-                let begun = Instant::now();
+                let begun = stopwatch::thread_time();
                 let of = |plain: PlainDecay| Errors::of_plain(&plain, &truth);
                 let errors = match k {
                     0 => trial(seed, &sensing(seed), cycles).ok().map(|t| t.errors()),
                     1 => log_decrement(&times, &angles).ok().map(of),
                     _ => curve_fit(&times, &angles).ok().map(of),
                 };
-                (errors, begun.elapsed().as_secs_f64())
+                (errors, stopwatch::thread_time() - begun)
             };
             let found = in_parallel(&label, "FREEs", some, one);
             let time = found.iter().map(|f| f.1).sum::<f64>() / some as f64;
@@ -74,24 +78,68 @@ pub(super) fn run(size: &Size<'_>) -> Result<BenchSuite, Failure> {
                 let error = (!good.is_empty()).then(|| pick(&median));
                 rows.push(row(SUITE, name, case, error, Some(time)));
             }
+            if (cycles, noise) == COMPARED && !good.is_empty() {
+                own.push(Timed { who: format!("freerig, {name}"), error: median.damping, time_s: time });
+            }
             if noise == 0.05 {
                 curves[k].1.push(cycles);
                 curves[k].2.push((100.0 * median.damping).max(f64::MIN_POSITIVE).log10());
             }
         }
     }
-    facts.push(("wall time".into(), format!("{:.1} s", start.elapsed().as_secs_f64())));
+    let claims = beside(some, &own, &mut rows)?.into_iter().collect();
+    facts.push(("time".into(), "processor time of one fit, mean of all".into()));
     Ok(BenchSuite {
         name: SUITE,
         title: "Identification by ring-down",
         facts,
         rows,
-        table: None,
+        claims,
         caption: "Median error of ct against the length of the record, at 0.05 deg of noise",
         x_label: "cycles, at most",
         y_label: "log10 of the error of ct in %",
         curves,
+        ..BenchSuite::default()
     })
+}
+
+/// scipy's curve fit on the same records of [`COMPARED`], from the same start.
+fn beside(count: u64, own: &[Timed], rows: &mut Vec<BenchRow>) -> Result<Option<Claim>, Failure> {
+    let (cycles, noise) = COMPARED;
+    let case = format!("{cycles} cycles, {noise} deg");
+    let plucks: Vec<_> = (0..count)
+        .filter_map(|seed| {
+            let truth = Plucked::seeded(seed);
+            let sensing = Sensing { noise: f64::to_radians(noise), ..Sensing::imu(SEEDS.1 + seed) };
+            let (times, angles) = record(&truth, &sensing, cycles);
+            let start = log_decrement(&times, &angles).ok()?;
+            Some((truth, json!({ "times": times, "angles": angles, "decay": start.decay, "omega": start.omega })))
+        })
+        .collect();
+    let task = json!({ "name": case, "plucks": plucks.iter().map(|p| &p.1).collect::<Vec<_>>() });
+    match peer::ask(SUITE, ("scipy", "scipy curve_fit"), include_str!("peers/ringdown.py"), &task)? {
+        Peer::None(row) => {
+            rows.push(row);
+            Ok(None)
+        }
+        Peer::Answers { name, answers } => {
+            let of = |(answer, (truth, _)): (&peer::Answer, &(Plucked, _))| match answer.values[..] {
+                [decay, omega] => Some((Errors::of_plain(&PlainDecay { decay, omega }, truth), answer.time_s?)),
+                _ => None,
+            };
+            let found: Vec<_> = answers.iter().zip(&plucks).filter_map(of).collect();
+            let errors: Vec<Errors> = found.iter().map(|f| f.0).collect();
+            let time = found.iter().map(|f| f.1).sum::<f64>() / found.len().max(1) as f64;
+            let median = Errors::median(&errors);
+            for (parameter, pick) in PARAMETERS {
+                let error = (!errors.is_empty()).then(|| pick(&median));
+                rows.push(row(SUITE, &name, format!("{case}, {parameter}, median of {count}"), error, Some(time)));
+            }
+            let theirs = [Timed { who: name, error: median.damping, time_s: time }];
+            // The same minimum to rounding, by either.
+            Ok(claim(&format!("ct from a ring-down, {case}"), 1.001 * median.damping, own, &theirs))
+        }
+    }
 }
 
 /// The error of one parameter.

@@ -1,14 +1,16 @@
-//! Integrators of the lumped model against independent reference solutions: error against time over the step.
-
-use std::time::Instant;
+//! Integrators of the lumped model against independent reference solutions: error against time over the step, beside
+//! scipy's on the two trajectories.
 
 use anyhow::anyhow;
+use serde_json::json;
 
-use super::{Size, row};
+use super::claim::claim;
+use super::peer::{self, Peer};
+use super::{Size, row, stopwatch};
 use crate::cli::{Failure, Progress};
 use crate::config::gains::preset;
 use crate::model::{Feedback, Free, Kinematics, Law, Load, Lumped, LumpedState};
-use crate::record::BenchSuite;
+use crate::record::{BenchRow, BenchSuite, Claim, Curve, Timed};
 use crate::trajectory::{Sequence, SequenceError, paper_steps, paper_trajectory};
 use crate::units::PASCAL_PER_PSI;
 
@@ -26,52 +28,117 @@ struct Case {
     solution: &'static str,
 }
 
+/// scipy's methods and relative tolerances: two explicit ones, two for stiff problems.
+const PEERS: [&str; 4] = ["LSODA", "RK45", "DOP853", "Radau"];
+const TOLERANCES: [f64; 2] = [1e-3, 1e-6];
+/// Errors at which times are compared.
+const LEVELS: [f64; 2] = [1e-4, 1e-6];
+/// The cases that are trajectories in a loop, stiff and in their limits now and then: those are drawn and compared.
+const TRAJECTORIES: usize = 2;
+/// Angles, deg, and times, s, of the paper's trajectory.
+const GOALS: [f64; 3] = [40.0, 10.0, 70.0];
+const MOVE: f64 = 1.5;
+const SLOT: f64 = 3.0;
+
 type Integrate = fn(&Lumped, &Feedback, &mut LumpedState, &mut f64, &dyn Fn(f64) -> f64, f64) -> Option<()>;
 
 /// Every integrator with every step on every reference solution.
 pub(super) fn run(_: &Size<'_>) -> Result<BenchSuite, Failure> {
-    let (cases, start) = (cases()?, Instant::now());
+    let cases = cases()?;
     let total = cases.len() * METHODS.len() * STEPS.len();
     let mut progress = Progress::new("lumped", total as f64, "runs");
-    let (mut rows, mut curves, mut done) = (Vec::new(), Vec::new(), 0.0);
+    let (mut rows, mut curves, mut own, mut done) = (Vec::new(), Vec::new(), Vec::new(), 0.0);
     for (n, case) in cases.iter().enumerate() {
         let rotations = rotations(case)?;
+        let mut best = Vec::new();
         for (method, integrate) in METHODS {
-            let (mut x, mut y) = (Vec::new(), Vec::new());
+            let mut found = Vec::new();
             for steps in STEPS {
-                let begun = Instant::now();
+                let begun = stopwatch::thread_time();
                 let error = largest_error(case, &rotations, integrate, steps)?;
-                let time = begun.elapsed().as_secs_f64();
-                let name = format!("{}, step {:.4} ms", case.name, 10.0 / f64::from(steps));
-                rows.push(row(SUITE, method, name, error, Some(time)));
-                if let Some(error) = error {
-                    x.push((1e3 * time).log10());
-                    y.push(error.max(f64::MIN_POSITIVE).log10());
-                }
+                let time_s = stopwatch::thread_time() - begun;
+                let how = format!("step {:.4} ms", 10.0 / f64::from(steps));
+                rows.push(row(SUITE, method, format!("{}, {how}", case.name), error, Some(time_s)));
+                let who = format!("freerig, {method}, {how}");
+                found.extend(error.map(|error| Timed { who, error, time_s }));
                 done += 1.0;
                 progress.set(done, case.name);
             }
-            // The published loop: stiff, and in its limits now and then.
-            if n < 2 {
-                curves.push((format!("{method}, {}", case.name), x, y));
+            if n < TRAJECTORIES {
+                curves.push(Timed::curve(format!("{method}, {}", case.name), &found));
             }
+            best.extend(found);
         }
+        own.push((rotations, best));
     }
+    let claims = beside(&cases[..TRAJECTORIES], &own, &mut rows, &mut curves)?;
     Ok(BenchSuite {
         name: SUITE,
         title: "Integrators of the lumped model",
         facts: vec![
             ("reference solutions".into(), "independent of freerig, to 1e-8 rad".into()),
             ("error".into(), "largest of the rotation, over the largest rotation".into()),
-            ("wall time".into(), format!("{:.1} s", start.elapsed().as_secs_f64())),
+            ("time".into(), "processor time of one run of the whole course".into()),
         ],
         rows,
-        table: None,
+        claims,
         caption: "Error against time over the step",
         x_label: "log10 of the time in ms",
         y_label: "log10 of the relative error",
         curves,
+        ..BenchSuite::default()
     })
+}
+
+/// What is known of a case's rotation, and how freerig did.
+type Own = (Vec<(f64, f64)>, Vec<Timed>);
+
+/// scipy on the trajectories `cases`.
+fn beside(
+    cases: &[Case],
+    own: &[Own],
+    rows: &mut Vec<BenchRow>,
+    curves: &mut Vec<Curve>,
+) -> Result<Vec<Claim>, Failure> {
+    let Some((first, _)) = own.first() else { return Ok(Vec::new()) };
+    let of = |case: &Case| {
+        let f = &case.free;
+        let free = json!({
+            "gamma": f.gamma, "length": f.length, "radius": f.radius, "mass": f.mass, "inertia": f.inertia,
+            "axial_stiffness": f.axial_stiffness, "torsional_stiffness": f.torsional_stiffness,
+            "axial_damping": f.axial_damping, "torsional_damping": f.torsional_damping,
+        });
+        let Feedback { proportional, integral, high, .. } = case.feedback;
+        json!({ "name": case.name, "free": free, "proportional": proportional, "integral": integral, "limit": high })
+    };
+    let task = json!({
+        "times": first.iter().skip(1).map(|sample| sample.0).collect::<Vec<_>>(),
+        "goals": GOALS.map(f64::to_radians), "move": MOVE, "slot": SLOT,
+        "methods": PEERS, "tolerances": TOLERANCES, "cases": cases.iter().map(of).collect::<Vec<_>>(),
+    });
+    let (name, answers) = match peer::ask(SUITE, ("scipy", "scipy solve_ivp"), include_str!("peers/lumped.py"), &task)?
+    {
+        Peer::None(row) => {
+            rows.push(row);
+            return Ok(Vec::new());
+        }
+        Peer::Answers { name, answers } => (name, answers),
+    };
+    let mut claims = Vec::new();
+    for (case, (known, own)) in cases.iter().zip(own) {
+        let size = known.iter().fold(0.0, |m: f64, s| m.max(s.1.abs()));
+        let mut theirs = Vec::new();
+        for answer in answers.iter().filter(|answer| answer.task == case.name) {
+            let off =
+                known.iter().zip(&answer.values).fold(0.0, |m: f64, (known, found)| m.max((known.1 - found).abs()));
+            let error = (answer.values.len() == known.len() && off < size).then_some(off / size);
+            rows.push(answer.row(SUITE, &name, error));
+            theirs.extend(answer.timed(&name, error));
+        }
+        curves.push(Timed::curve(format!("{name}, {}", case.name), &theirs));
+        claims.extend(LEVELS.iter().filter_map(|level| claim(case.name, *level, own, &theirs)));
+    }
+    Ok(claims)
 }
 
 fn cases() -> Result<[Case; 5], Failure> {

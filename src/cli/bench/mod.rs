@@ -3,24 +3,36 @@
 //! A suite is one file with a function from [`Size`] to a [`BenchSuite`], and a line in [`SUITES`] and in [`Args`].
 
 mod calculix;
+mod claim;
 mod control;
 mod deck;
 mod faults;
 mod fem;
 mod fidelity;
 mod identification;
+mod locus;
 mod lumped;
+mod machine;
+mod module;
+mod pace;
+mod patience;
+mod peer;
+mod rods;
+mod stopwatch;
+
+use std::time::Instant;
 
 use rayon::prelude::*;
 
 use super::table::Table;
 use super::{Context, Failure, Progress};
 use crate::config::Rig;
-use crate::record::{BenchRow, BenchSuite};
+use crate::record::{BenchReport, BenchRow, BenchSuite};
 
 const EXAMPLES: &str = "\
-Without a suite all of them run, each within some minutes on two cores. The random numbers are always the same: but for the
-times, so are the answers. Table on stdout, bench-SUITE.csv, .svg and .html in the runs' folder.
+Without a suite all of them run, within some minutes on two cores, and bench.html and bench.md put them together. The random
+numbers are always the same: but for the times, so are the answers. Table on stdout, bench-SUITE.csv, .svg and .html in the
+runs' folder. Peers (CalculiX, Exudyn, scipy, python-control, cyclictest) run beside freerig where they are installed.
 
 Examples:
   freerig bench
@@ -44,17 +56,23 @@ pub struct Args {
     /// What the automatic choice of the model says its error is, and what it really is; makes the certified range's table
     #[arg(long)]
     fidelity: bool,
+    /// Rods with known answers, over the resolution
+    #[arg(long)]
+    rods: bool,
+    /// Equilibria, Jacobians, inverses and plans of the module, over the rods' resolution
+    #[arg(long)]
+    module: bool,
     /// Ring-down fits of FREEs that are not known, against log decrement and curve fit
     #[arg(long)]
     identification: bool,
-    /// The controllers on plants that are not the model
+    /// The controllers on plants that are not the model, the loop's rate and wake-ups
     #[arg(long)]
     control: bool,
     /// Every fault of the matrix on the simulated rig of rig.toml: how soon it is seen, how soon the pressure is gone
     #[arg(long)]
     faults: bool,
-    /// FREEs, plants and geometries of the studies (200 by default, of the finite elements 40, of the choice of the model 300 scenes), repetitions of each
-    /// fault (50 by default)
+    /// FREEs, plants, geometries and scenes of the studies (200 by default, of the finite elements 40, of the choice of
+    /// the model 300), repetitions of each fault (50 by default)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=100_000))]
     count: Option<u64>,
 }
@@ -70,34 +88,45 @@ type Suite = fn(&Size<'_>) -> Result<BenchSuite, Failure>;
 type Asked = fn(&Args) -> bool;
 
 /// Every suite and its count where none is given, in the order of a run without any flag.
-const SUITES: [(Asked, Suite, u64); 6] = [
+const SUITES: [(Asked, Suite, u64); 9] = [
     (|args| args.lumped, lumped::run, 1),
     (|args| args.fem, fem::run, 40),
     (|args| args.fidelity, fidelity::run, 300),
+    (|args| args.rods, rods::run, 1),
+    (|args| args.module, module::run, 1),
     (|args| args.identification, identification::run, 200),
     (|args| args.control, control::run, 200),
+    (|args| args.control, pace::run, 200),
     (|args| args.faults, faults::run, 50),
 ];
 
 /// Runs what is asked for.
 pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
-    let rig = Rig::load(&context.rig)?;
+    let (rig, begun, load) = (Rig::load(&context.rig)?, Instant::now(), machine::load());
     let every = !SUITES.iter().any(|(asked, ..)| asked(&args));
-    let mut rows = Vec::new();
+    let mut suites = Vec::new();
     for (_, suite, count) in SUITES.iter().filter(|(asked, ..)| every || asked(&args)) {
         let suite = suite(&Size { count: args.count.unwrap_or(*count), rig: &rig })?;
         let page = suite.write(&rig.record.directory)?;
         if !context.json {
             context.print(text(&suite, &page.display().to_string()))?;
         }
-        rows.extend(suite.rows);
+        suites.push(suite);
     }
+    if every {
+        let facts = machine::facts(&load, begun.elapsed().as_secs_f64());
+        let page = BenchReport { facts: &facts, suites: &suites }.write(&rig.record.directory)?;
+        if !context.json {
+            context.print(format!("all of it: {}, and bench.md beside it", page.display()))?;
+        }
+    }
+    let rows: Vec<_> = suites.into_iter().flat_map(|suite| suite.rows).collect();
     if context.json { context.print_json(&serde_json::json!({ "rows": rows })) } else { Ok(()) }
 }
 
 fn text(suite: &BenchSuite, page: &str) -> String {
     let table = suite.table.clone().unwrap_or_else(|| rows(suite));
-    let facts: String = suite.facts.iter().map(|(name, value)| format!("- {name}: {value}\n")).collect();
+    let facts: String = suite.said().iter().map(|(name, value)| format!("- {name}: {value}\n")).collect();
     format!("## {} (SIMULATED)\n\n{table}\n\n{facts}- page: {page}\n", suite.title)
 }
 
