@@ -3,7 +3,7 @@
 //! The range is divided into [buckets](Bucket) by hold, winding angle and relative pressure `P Ri / (mu wall)`. A table,
 //! made by `freerig bench --fidelity` and stored beside this file, has for each the largest errors that seeded scenes of
 //! it have really had ([`super::suite`]). That the next scene's error is larger than the largest of n alike has the
-//! probability 1 / (n + 1), whatever the errors' distribution: a bucket of at least [`LEAST`] scenes holds with the 95 %
+//! probability 1 / (n + 1), whatever the errors' distribution: a bucket of at least 19 scenes holds with the 95 %
 //! that are wanted, and no factor of safety is needed.
 //!
 //! What the ends take goes with one over the length, and is stored times the length over the outer radius. The linear

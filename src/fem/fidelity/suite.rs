@@ -1,7 +1,7 @@
 //! Seeded scenes, and what the cheap tiers are really off by in them.
 //!
 //! Without units a scene is its winding angle, wall, fibres (number, cover, stiffness), rubber's exponent, length and
-//! pressure. All are drawn evenly over the [`RANGES`] (those that are ratios, over their logarithm), the winding angle
+//! pressure. All are drawn evenly over their ranges (those that are ratios, over their logarithm), the winding angle
 //! and the pressure over a [bucket](super::certified) that the seed chooses: every bucket is met equally often.
 //!
 //! The truth is put together from the two models that are exact where they are fine enough: the long tube on the

@@ -32,7 +32,9 @@ use crate::fem::tube::Tube;
 const FINEST: usize = 4;
 /// Estimate over the difference from the next level.
 const SAFETY: f64 = 2.0;
-/// Error below which level 1 is not believed to be, whatever the difference says: it may vanish by accident.
+/// Error below which level 1 is not believed to be, whatever the difference says: it may vanish by accident. Chosen, and
+/// large: of twenty seeded tubes at a moderate pressure level 1 leaves 0.005 % of free motion and 0.08 % of blocked load in
+/// the median, against level 4, and twice the difference was never below 0.92 of that.
 const LEAST: f64 = 5e-4;
 
 /// Least error of an equilibrium beyond the fold of a finer mesh: what the fold may take (see the module).
