@@ -67,6 +67,7 @@ fn unfit(error: &dyn std::fmt::Display) -> DaemonError {
 /// A module on its path.
 #[derive(Debug)]
 pub(super) struct Guide<'f> {
+    family: &'f Family,
     rest: Rest<'f>,
     course: Course,
 }
@@ -88,8 +89,8 @@ impl<'f> Guide<'f> {
             pressures: &whisk.pressures,
             targets: whisk.path(),
         };
-        let course = Course::new(family, &rest, &way).map_err(|error| unfit(&error))?;
-        Ok(Guide { rest, course })
+        let course = Course::new(&rest, &way).map_err(|error| unfit(&error))?;
+        Ok(Guide { family, rest, course })
     }
 }
 
@@ -148,7 +149,7 @@ impl<'g> Follower<'g> {
         job.poses.want(true);
         Ok(Follower {
             guide,
-            pursuit: Pursuit::new(&guide.rest),
+            pursuit: Pursuit::new(&guide.rest, guide.family),
             program: Arc::clone(&job.program),
             channels,
             delay: imu.map_or(Duration::ZERO, |imu| imu.delay),
@@ -187,7 +188,7 @@ impl<'g> Follower<'g> {
         if since(self.rotation) > 0.0 {
             let rotation = turned(self.axis, plate.estimate.tare, imu.quaternion)?;
             let sight = Seen { rotation: Some(rotation), ..self.sight(seen, program_time, since(self.rotation)) };
-            held = self.pursuit.see(&self.guide.course.at(program_time), &sight);
+            held = self.pursuit.see(&sight);
             self.rotation = Some(seen);
         }
         let tracker = self.poses.take(record.time).filter(|pose| self.position.is_none_or(|last| pose.time > last));
@@ -207,7 +208,7 @@ impl<'g> Follower<'g> {
             position: Some((pose.position, pose.deviation)),
             ..self.sight(pose.time, t, dt)
         };
-        let held = self.pursuit.see(&self.guide.course.at(t), &sight)?;
+        let held = self.pursuit.see(&sight)?;
         Some((pose.position, held.believed.unwrap_or(false)))
     }
 
@@ -235,14 +236,14 @@ impl<'g> Follower<'g> {
             most: trim::MOST,
             margin: MARGIN.min(0.9 * self.guide.course.least_margin()),
         };
-        let station = self.guide.course.at(then);
+        let target = self.guide.course.at(then);
         // The plan itself, led by what the regulator does to it.
         let led: [f64; 4] = std::array::from_fn(|i| {
             let channel = &self.channels[i];
             let reference = plan(channel.free, t + HALF + lag + channel.dead_time);
             reference.position + channel.lag * reference.rate - plan(channel.free, t + HALF).position
         });
-        let wanted = self.pursuit.correct(&station, &ahead)?;
+        let wanted = self.pursuit.correct(&target, &ahead)?;
         let mut pressure = [0.0; MAX_FREES];
         for ((channel, wanted), led) in self.channels.iter().zip(wanted).zip(led) {
             if let Some(to) = pressure.get_mut(channel.free) {

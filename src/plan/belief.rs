@@ -25,7 +25,7 @@ pub(super) const LAG: usize = SCATTER + 1;
 
 /// Standard deviations to begin with: a winding machine's degree; 5 % each of the rubber and of the wall.
 const ANGLE: f64 = std::f64::consts::PI / 180.0;
-const STIFFNESS: f64 = 0.07;
+const BATCH: f64 = 0.05;
 /// kg, s.
 const LOAD: f64 = 0.02;
 const DELAY: f64 = 0.02;
@@ -58,7 +58,7 @@ fn first() -> SVector<f64, UNKNOWNS> {
         PAYLOAD => LOAD,
         LAG => DELAY,
         i if i < FREES => ANGLE,
-        _ => STIFFNESS,
+        _ => BATCH,
     })
 }
 
@@ -78,7 +78,7 @@ impl Belief {
         self.mean[LAG]
     }
 
-    /// The unknowns and their standard deviations: winding angles (rad) and stiffnesses (relative) of A, B, C, D, payload
+    /// The unknowns and their standard deviations: winding angles (rad), rubbers and walls (relative) of A, B, C, D, payload
     /// (kg), lag (s).
     pub fn unknowns(&self) -> [(f64, f64); UNKNOWNS] {
         std::array::from_fn(|i| (self.mean[i], self.covariance[(i, i)].max(0.0).sqrt()))

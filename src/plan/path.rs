@@ -97,7 +97,7 @@ impl PathPlan {
 
 /// The pressures of `targets` at `times` (s, rising). The first is found from rest, wherever it is ([`inverse::cold`]),
 /// or, with `start`, from that equilibrium within the slew rate over the first interval; the others each within the
-/// slew rate of the one before. A target out of reach is projected and counted.
+/// slew rate of the one before. A target out of reach is projected and counted. `progress` is told how many are planned.
 ///
 /// # Errors
 /// Times that do not rise or are not as many as targets; see [`inverse::cold`].
@@ -107,6 +107,7 @@ pub fn follow(
     targets: &[Target],
     limits: &Limits,
     start: Option<&State>,
+    progress: &mut dyn FnMut(usize),
 ) -> Result<PathPlan, PlanError> {
     rising(times, targets.len())?;
     for target in targets {
@@ -137,6 +138,7 @@ pub fn follow(
             plan.facts.ramp = found.ramp;
         }
         states.push(found.state);
+        progress(k + 1);
     }
     plan.facts.worst_error = Some(worst);
     plan.facts.rms_error = Some((squares / targets.len() as f64).sqrt());

@@ -17,7 +17,7 @@ use nalgebra::{Matrix4, Matrix6, SMatrix, UnitQuaternion, Vector3, Vector4, Vect
 
 use super::belief::{Belief, LAG, PAYLOAD, Row};
 use super::quadratic::Quadratic;
-use super::scatter::{SCATTER, Station};
+use super::scatter::{Family, SCATTER};
 use super::{FREES, Rest};
 use crate::fem::module::{Loads, State};
 
@@ -75,6 +75,7 @@ pub struct Ahead {
 #[derive(Debug)]
 pub struct Pursuit<'a> {
     rest: &'a Rest<'a>,
+    family: &'a Family,
     belief: Belief,
     /// The model at the pressures last seen, and at those that were last asked for.
     seen: State,
@@ -83,10 +84,10 @@ pub struct Pursuit<'a> {
 }
 
 impl<'a> Pursuit<'a> {
-    /// From rest on.
-    pub fn new(rest: &'a Rest<'a>) -> Self {
+    /// From rest on; the module of `rest` is that of `family`.
+    pub fn new(rest: &'a Rest<'a>, family: &'a Family) -> Self {
         let (seen, ahead) = (rest.state().clone(), rest.state().clone());
-        Self { rest, belief: Belief::default(), seen, ahead, trim: Vector4::zeros() }
+        Self { rest, family, belief: Belief::default(), seen, ahead, trim: Vector4::zeros() }
     }
 
     /// What has been learned.
@@ -94,15 +95,14 @@ impl<'a> Pursuit<'a> {
         &self.belief
     }
 
-    /// Learns from what was `seen` when the plan was at `station`; none where the model has no equilibrium there, and then
-    /// nothing is learned.
-    pub fn see(&mut self, station: &Station, seen: &Seen) -> Option<Held> {
+    /// Learns from what was `seen`; none where the model has no equilibrium there, and then nothing is learned.
+    pub fn see(&mut self, seen: &Seen) -> Option<Held> {
         let dt = seen.dt.clamp(1e-3, PAUSE);
         self.belief.wander(dt);
         // What is in the model's own state is not expected of it a second time.
         let payload = self.belief.payload();
         self.seen = self.follow(&self.seen, &seen.pressures)?;
-        let (compliance, by_scatter) = self.by_scatter(&self.seen, station)?;
+        let (compliance, by_scatter) = self.by_scatter(&self.seen)?;
         let by_pressure = self.seen.by_pressure()?;
         let by_payload = self.by_payload(&compliance);
         let speed: Vector6<f64> = by_pressure.iter().zip(&seen.rates).map(|(by, rate)| by * *rate).sum();
@@ -135,9 +135,9 @@ impl<'a> Pursuit<'a> {
         Some(Held { position, deviation, believed })
     }
 
-    /// By how much the pressures of A, B, C, D that the plan has at `station`, which is ahead of now, are to be changed, Pa;
+    /// By how much the pressures of A, B, C, D that the plan has where its `target` (m) is, ahead of now, are to be changed, Pa;
     /// none where the model has no stable equilibrium there.
-    pub fn correct(&mut self, station: &Station, ahead: &Ahead) -> Option<[f64; 4]> {
+    pub fn correct(&mut self, target: &Vector3<f64>, ahead: &Ahead) -> Option<[f64; 4]> {
         let plan = Vector4::from(ahead.pressures);
         let low = (-plan).map(|p| p.clamp(-ahead.most, 0.0));
         let high = (Vector4::from(ahead.highest) - plan).map(|p| p.clamp(0.0, ahead.most));
@@ -147,10 +147,10 @@ impl<'a> Pursuit<'a> {
         if !state.stable() {
             return None;
         }
-        let motion = self.by_scatter(&state, station)?.1 * self.belief.scatter();
+        let motion = self.by_scatter(&state)?.1 * self.belief.scatter();
         let by_pressure = state.by_pressure()?;
         let jacobian = SMatrix::<f64, 3, FREES>::from_fn(|i, j| by_pressure[j][3 + i]);
-        let off = station.target - state.position() - motion.fixed_rows::<3>(3);
+        let off = target - state.position() - motion.fixed_rows::<3>(3);
         let margin = self.rest.margin(&state).smooth;
         self.ahead = state;
         if margin < ahead.margin {
@@ -173,9 +173,9 @@ impl<'a> Pursuit<'a> {
     }
 
     /// The compliance of `state`, and the plate's motion by the scatter.
-    fn by_scatter(&self, state: &State, station: &Station) -> Option<(Matrix6<f64>, SMatrix<f64, 6, SCATTER>)> {
+    fn by_scatter(&self, state: &State) -> Option<(Matrix6<f64>, SMatrix<f64, 6, SCATTER>)> {
         let compliance = state.compliance()?;
-        Some((compliance, compliance * station.wrenches))
+        Some((compliance, compliance * self.family.wrenches(state).ok()?))
     }
 
     /// The plate's motion by a kilogram on it.

@@ -1,33 +1,35 @@
 //! What FREEs that are not quite their model's do to the plate.
 //!
 //! No two FREEs of a batch are the same. What counts of their scatter is the winding angle, which decides how pressure
-//! is shared between length and twist, and the stiffness of the wall (its rubber, its thickness). [`Family`] holds
-//! the module and, for each FREE, the same module with a little more of either. On a held plate each unknown u is a
-//! wrench w u; w follows from how far the equilibria at the same pressures are apart,
+//! is shared between length and twist, the rubber's stiffness, and the wall, which carries the fibres farther out as well.
+//! [`Family`] holds the module and, for each of these unknowns, the rod with a little more of it. On a held plate an
+//! unknown u is a wrench w u, w by the change of the rod's law at the strains as they are ([`Module::pushed_by`]), so that
 //!
 //! ```text
-//!     w = K (x_varied - x) / step,      so that x(u) = x + K^-1 sum(w u)
+//!     x(u) = x + K^-1 sum(w u)
 //! ```
 //!
-//! with the stiffness K of whatever state the module is in when it is used: a payload that nobody knows of changes K
-//! far more than w. [`Course`] has the wrenches along a plan, computed before it is run.
+//! with w and the stiffness K of whatever state the module is in: corrected pressures are not the plan's, and a payload
+//! that nobody knows of changes K far more than w.
+//!
+//! [`Course`] is where a plan is to take the plate.
 
-use nalgebra::{SMatrix, Vector3, Vector6};
+use nalgebra::{SMatrix, Vector3};
 
 use super::path::rising;
 use super::{FREES, PlanError, Rest};
-use crate::fem::module::{Loads, Module, ModuleScene, SceneError, State};
-use crate::fem::rod::Resolution;
+use crate::fem::module::{Module, ModuleError, ModuleScene, SceneError, State};
+use crate::fem::rod::{Resolution, Rod};
 use crate::fem::section::Mesh;
 use crate::fem::section_law::{Request, SectionLaw, SectionLawError};
 use crate::trajectory::{Segment, Shape};
 
-/// Unknowns of the FREEs: four winding angles (of their magnitude, rad), then four stiffnesses of the wall (relative).
-pub const SCATTER: usize = 2 * FREES;
+/// Unknowns of the FREEs: four winding angles (of their magnitude, rad), then four stiffnesses of the rubber and four
+/// thicknesses of the wall (relative).
+pub const SCATTER: usize = 3 * FREES;
 
-/// By how much the family's members differ: small against the scatter, large against the laws' own errors.
-const ANGLE_STEP: f64 = 0.25 * std::f64::consts::PI / 180.0;
-const STIFFNESS_STEP: f64 = 0.02;
+/// By how much the family's members differ: small against the scatter, large against the laws' own errors. By kind.
+const STEPS: [f64; 3] = [0.25 * std::f64::consts::PI / 180.0, 0.02, 0.02];
 /// Stations of a course: on the way up, and round a period.
 const UP: usize = 8;
 const ROUND: usize = 32;
@@ -35,11 +37,11 @@ const ROUND: usize = 32;
 /// The wrench (moment, force) about the plate's centre that each unknown is like, per its unit.
 pub type Wrenches = SMatrix<f64, 6, SCATTER>;
 
-/// A module and the same with one unknown more.
+/// A module and, for each unknown, the rod that has a little more of it.
 #[derive(Debug)]
 pub struct Family {
     module: Module,
-    varied: Vec<Module>,
+    varied: Vec<(usize, Rod)>,
 }
 
 impl Family {
@@ -65,13 +67,15 @@ impl Family {
         };
         let module = build(scene)?;
         let varied = (0..SCATTER).map(|unknown| {
+            let (free, kind) = (unknown % FREES, unknown / FREES);
             let mut scene = scene.clone();
-            let tube = &mut scene.frees[unknown % FREES].tube;
-            match unknown < FREES {
-                true => tube.gamma += ANGLE_STEP * tube.gamma.signum(),
-                false => tube.law = tube.law.with_shear_modulus(tube.law.shear_modulus() * (1.0 + STIFFNESS_STEP)),
+            let tube = &mut scene.frees[free].tube;
+            match kind {
+                0 => tube.gamma += STEPS[0] * tube.gamma.signum(),
+                1 => tube.law = tube.law.with_shear_modulus(tube.law.shear_modulus() * (1.0 + STEPS[1])),
+                _ => tube.wall *= 1.0 + STEPS[2],
             }
-            build(&scene)
+            build(&scene).map(|module| (free, module.mounts()[free].rod.clone()))
         });
         let varied = varied.collect::<Result<_, _>>()?;
         Ok(Family { module, varied })
@@ -80,6 +84,15 @@ impl Family {
     /// The module.
     pub fn module(&self) -> &Module {
         &self.module
+    }
+
+    /// What the unknowns do to the plate of `state`, an equilibrium of the module.
+    ///
+    /// # Errors
+    /// A law that refuses the rods' strains.
+    pub fn wrenches(&self, state: &State) -> Result<Wrenches, ModuleError> {
+        let pushes = self.module.pushed_by(state, &self.varied)?;
+        Ok(Wrenches::from_fn(|row, unknown| pushes[unknown][row] / STEPS[unknown / FREES]))
     }
 }
 
@@ -98,15 +111,6 @@ pub struct Way<'a> {
     pub targets: &'a [[f64; 3]],
 }
 
-/// Where a plan's plate is to be at one instant, and what the unknowns do there.
-#[derive(Clone, Copy, Debug)]
-pub struct Station {
-    /// Of the plate's centre, m.
-    pub target: Vector3<f64>,
-    /// See [`Wrenches`].
-    pub wrenches: Wrenches,
-}
-
 /// A plan's way from rest up, through its periods and down again.
 #[derive(Debug)]
 pub struct Course {
@@ -115,21 +119,20 @@ pub struct Course {
     periods: f64,
     times: Vec<f64>,
     targets: Vec<Vector3<f64>>,
-    /// From rest to the first pressures, by their share.
-    up: Vec<Station>,
+    /// Where the model puts the plate's centre, m, from rest to the first pressures, by their share.
+    up: Vec<Vector3<f64>>,
     /// From the beginning to the end of a period.
-    round: Vec<Station>,
-    /// The least smooth margin of the stations.
+    round: Vec<Vector3<f64>>,
+    /// The least smooth margin on the way.
     least: f64,
 }
 
 impl Course {
-    /// The course of `way` with the module of `rest`, which is that of `family`.
+    /// The course of `way` with the module of `rest`.
     ///
     /// # Errors
-    /// Times that do not rise or are not as many as pressures and targets; a plan that the module, or one of its family,
-    /// cannot follow.
-    pub fn new(family: &Family, rest: &Rest<'_>, way: &Way<'_>) -> Result<Course, PlanError> {
+    /// Times that do not rise or are not as many as pressures and targets; a plan that the module cannot follow.
+    pub fn new(rest: &Rest<'_>, way: &Way<'_>) -> Result<Course, PlanError> {
         rising(way.times, way.pressures.len())?;
         let (Some(first), Some(&period)) = (way.pressures.first(), way.times.last()) else {
             return Err(PlanError::invalid("the number of times", 0.0, "must be at least two"));
@@ -138,24 +141,30 @@ impl Course {
             let count = way.targets.len() as f64;
             return Err(PlanError::invalid("the number of targets", count, "must be that of the times, or zero"));
         }
-        let mut walk = Walk::new(family, rest)?;
-        let up = (0..=UP).map(|k| walk.to(&first.map(|p| p * k as f64 / UP as f64)));
+        let (mut state, mut least) = (rest.state().clone(), f64::INFINITY);
+        let mut walk = |pressures: &[f64; 4]| {
+            state = rest.module().equilibrium_from(&state, &rest.loads(pressures))?;
+            least = least.min(rest.margin(&state).smooth);
+            Ok::<_, PlanError>(state.position())
+        };
+        let up = (0..=UP).map(|k| walk(&first.map(|p| p * k as f64 / UP as f64)));
         let up = up.collect::<Result<Vec<_>, _>>()?;
         let round = (0..=ROUND).map(|k| {
             let t = period * k as f64 / ROUND as f64;
             let (k, share) = place(way.times, t);
             let (a, b) = (&way.pressures[k], &way.pressures[(k + 1).min(way.pressures.len() - 1)]);
-            walk.to(&std::array::from_fn(|i| a[i] + share * (b[i] - a[i])))
+            walk(&std::array::from_fn(|i| a[i] + share * (b[i] - a[i])))
         });
+        let round = round.collect::<Result<_, _>>()?;
         Ok(Course {
             lead: Segment::new(0.0, Shape::Quintic, 1.0, way.lead),
             period,
             periods: f64::from(way.periods),
             times: way.times.to_vec(),
             targets: way.targets.iter().map(|p| Vector3::from(*p)).collect(),
-            round: round.collect::<Result<_, _>>()?,
+            round,
             up,
-            least: walk.least,
+            least,
         })
     }
 
@@ -164,8 +173,8 @@ impl Course {
         self.least
     }
 
-    /// Where the plan is at its time `t`, s.
-    pub fn at(&self, t: f64) -> Station {
+    /// Where the plate's centre is to be at the plan's time `t` (s), m.
+    pub fn at(&self, t: f64) -> Vector3<f64> {
         let since = t - self.lead.duration;
         let over = since - self.period * self.periods;
         if since < 0.0 {
@@ -176,13 +185,12 @@ impl Course {
             return along(&self.up, 1.0 - self.lead.at(over.min(self.lead.duration)).0);
         }
         let phase = since.rem_euclid(self.period);
-        let station = along(&self.round, phase / self.period);
         if self.targets.is_empty() {
-            return station;
+            return along(&self.round, phase / self.period);
         }
         let (k, share) = place(&self.times, phase);
         let (a, b) = (self.targets[k], self.targets[(k + 1).min(self.targets.len() - 1)]);
-        Station { target: a.lerp(&b, share), ..station }
+        a.lerp(&b, share)
     }
 }
 
@@ -195,50 +203,10 @@ fn place(times: &[f64], t: f64) -> (usize, f64) {
     }
 }
 
-/// The station at the share `x`, 0 to 1, of the way along `stations`.
-fn along(stations: &[Station], x: f64) -> Station {
+/// The place at the share `x`, 0 to 1, of the way along `stations`.
+fn along(stations: &[Vector3<f64>], x: f64) -> Vector3<f64> {
     let last = stations.len() - 1;
     let at = x.clamp(0.0, 1.0) * last as f64;
     let k = (at as usize).min(last - 1);
-    let (a, b, share) = (&stations[k], &stations[k + 1], at - k as f64);
-    Station { target: a.target.lerp(&b.target, share), wrenches: a.wrenches + (b.wrenches - a.wrenches) * share }
-}
-
-/// The family on its way along a plan.
-struct Walk<'a> {
-    family: &'a Family,
-    rest: &'a Rest<'a>,
-    state: State,
-    varied: Vec<State>,
-    least: f64,
-}
-
-impl<'a> Walk<'a> {
-    fn new(family: &'a Family, rest: &'a Rest<'a>) -> Result<Walk<'a>, PlanError> {
-        let dead = rest.loads(&[0.0; FREES]);
-        let varied = family.varied.iter().map(|module| module.equilibrium(&dead)).collect::<Result<_, _>>()?;
-        Ok(Walk { family, rest, state: rest.state().clone(), varied, least: f64::INFINITY })
-    }
-
-    /// The station at `pressures`.
-    fn to(&mut self, pressures: &[f64; 4]) -> Result<Station, PlanError> {
-        let loads: Loads = self.rest.loads(pressures);
-        self.state = self.family.module.equilibrium_from(&self.state, &loads)?;
-        self.least = self.least.min(self.rest.margin(&self.state).smooth);
-        let stiffness = self.state.stiffness();
-        let mut wrenches = Wrenches::zeros();
-        for (unknown, (module, state)) in self.family.varied.iter().zip(&mut self.varied).enumerate() {
-            *state = module.equilibrium_from(state, &loads)?;
-            let step = if unknown < FREES { ANGLE_STEP } else { STIFFNESS_STEP };
-            wrenches.set_column(unknown, &(stiffness * apart(state, &self.state) / step));
-        }
-        Ok(Station { target: self.state.position(), wrenches })
-    }
-}
-
-/// The small motion (rotation, translation of the centre) from `b` to `a`.
-fn apart(a: &State, b: &State) -> Vector6<f64> {
-    let turn = (a.rotation() * b.rotation().inverse()).scaled_axis();
-    let shift = a.position() - b.position();
-    Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z)
+    stations[k].lerp(&stations[k + 1], at - k as f64)
 }

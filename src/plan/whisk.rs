@@ -253,7 +253,7 @@ pub fn eight(rest: &Rest<'_>, eight: &Eight, limits: &Limits, rate: f64) -> Resu
     let centre = inverse::cold(rest, &eight.at(0.0, 1.0), limits)?;
     let run = |times: &[f64], scale: f64| -> Result<PathPlan, PlanError> {
         let targets: Vec<_> = times.iter().map(|t| eight.at(*t, scale)).collect();
-        let mut plan = path::follow(rest, times, &targets, limits, Some(&centre.state))?;
+        let mut plan = path::follow(rest, times, &targets, limits, Some(&centre.state), &mut |_| {})?;
         plan.facts.ramp = centre.ramp.clone();
         Ok(plan)
     };

@@ -15,7 +15,7 @@ pub const FILE_NAME: &str = "tip.csv";
 
 /// Its columns: the time of the program that the line is about; the plate's centre and the standard deviation of its
 /// coordinates; what a tracker saw since the line before, and whether it was believed (1) or not (0); the unknowns.
-const COLUMNS: [&str; 20] = [
+const COLUMNS: [&str; 24] = [
     "program_time_s",
     "x_m",
     "y_m",
@@ -31,10 +31,14 @@ const COLUMNS: [&str; 20] = [
     "b_angle_rad",
     "c_angle_rad",
     "d_angle_rad",
-    "a_stiffness",
-    "b_stiffness",
-    "c_stiffness",
-    "d_stiffness",
+    "a_rubber",
+    "b_rubber",
+    "c_rubber",
+    "d_rubber",
+    "a_wall",
+    "b_wall",
+    "c_wall",
+    "d_wall",
     "payload_kg",
 ];
 
@@ -49,9 +53,9 @@ pub struct TipLine {
     pub deviation: Vector3<f64>,
     /// What a tracker saw of it, m, and whether that was believed.
     pub tracker: Option<(Vector3<f64>, bool)>,
-    /// Winding angles (rad, of their magnitude) and stiffnesses of the wall (relative) of A, B, C, D by which they differ from
-    /// their calibrations, and a payload, kg.
-    pub unknowns: [f64; 9],
+    /// Winding angles (rad, of their magnitude), stiffnesses of the rubber and thicknesses of the wall (relative) of A, B, C,
+    /// D by which they differ from their calibrations, and a payload, kg.
+    pub unknowns: [f64; 13],
 }
 
 /// The file while it is written.

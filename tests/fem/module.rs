@@ -74,6 +74,38 @@ fn a_tabulated_law_moves_the_module_as_the_law_itself_does() {
 }
 
 #[test]
+fn one_rod_that_is_another_pushes_the_plate_as_far_as_the_other_module_is() {
+    let own = module(60.0, 0.0, 0.02);
+    let gravity = Vector3::new(0.0, 0.0, 9.81);
+    let loads = Loads { gravity, ..Loads::pressures([3.0, 1.0, 0.5, 2.0].map(|p| p * PSI)) };
+    let state = own.equilibrium(&loads).unwrap();
+    let compliance = state.compliance().unwrap();
+    // Another winding angle and another bending stiffness, by `step` of them.
+    let off = |index: usize, step: f64| {
+        let mut mounts = own.mounts().to_vec();
+        let law = &mut mounts[index].rod.law;
+        law.straight = Straight::closed_form(&section(60.0 * (1.0 + step)));
+        law.bending = Profile::constant(law.bending.at([1.0, 0.0, loads.pressures[index]]) * (1.0 + step));
+        let push = own.pushed_by(&state, &[(index, mounts[index].rod.clone())]).unwrap().remove(0);
+        let other = Module::new(mounts, 0.02, Resolution::DEFAULT).unwrap().equilibrium(&loads).unwrap();
+        let turn = (other.rotation() * state.rotation().inverse()).scaled_axis();
+        let predicted = compliance * push;
+        let scale = (other.position() - state.position()).norm();
+        let missed = other.position() - state.position() - predicted.fixed_rows::<3>(3);
+        let turn_missed = turn - predicted.fixed_rows::<3>(0);
+        (missed.norm() / scale, turn_missed.norm() / turn.norm())
+    };
+    for index in 0..4 {
+        // First order: what is missed is of second, so that its share halves with the step.
+        let (coarse, fine) = (off(index, 2e-3), off(index, 1e-3));
+        assert!(coarse.0 < 0.02 && coarse.1 < 0.02, "{index}: {coarse:?}");
+        for (coarse, fine) in [(coarse.0, fine.0), (coarse.1, fine.1)] {
+            assert!((coarse / fine - 2.0).abs() < 0.2, "{index}: {coarse} {fine}");
+        }
+    }
+}
+
+#[test]
 fn symmetric_cases_move_symmetrically() {
     let m = module(60.0, 5.56e-3, 0.0);
     // Case 2: the diagonal pair of R FREEs turns the plate negative and bends nothing.

@@ -11,7 +11,7 @@ use serde::Serialize;
 use super::{LimitArgs, Shares, Stop, bound_names, psi, refused};
 use crate::cli::scene::{SceneArgs, build};
 use crate::cli::table::{Table, number};
-use crate::cli::{Context, Failure};
+use crate::cli::{Context, Failure, Progress};
 use crate::config::{Rig, waypoints};
 use crate::fem::module::NAMES;
 use crate::plan::{PathPlan, Rest, Target, path};
@@ -100,7 +100,12 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     context.note(format!("planning {} points", targets.len()));
     let begun = Instant::now();
     let rest = Rest::new(&built.module, &scene.loads([0.0; 4])).map_err(refused)?;
-    let plan = path::follow(&rest, &points.times, &targets, &limits, None).map_err(refused)?;
+    let mut progress = Progress::new("path", targets.len() as f64, "points");
+    let planned = path::follow(&rest, &points.times, &targets, &limits, None, &mut |done| {
+        progress.set(done as f64, "");
+    });
+    drop(progress);
+    let plan = planned.map_err(refused)?;
     let rig = Rig::load(&context.rig)?;
     std::fs::create_dir_all(&rig.record.directory)?;
     let stem = args.file.file_stem().unwrap_or_default().to_string_lossy();

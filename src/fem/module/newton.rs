@@ -88,6 +88,31 @@ impl Module {
         Solver::new(self).follow(&start.loads, start.unknowns.clone(), loads)
     }
 
+    /// What the plate of `state`, an equilibrium of this module, would be pushed by, (moment, force) about its centre, if one
+    /// rod (index, rod) were another: to first order in the difference of their laws, by one linearisation for all of
+    /// `others`. The state's compliance times it is how the plate would move.
+    ///
+    /// # Errors
+    /// A law that refuses the rod's strains.
+    ///
+    /// # Panics
+    /// For an index that is none.
+    pub fn pushed_by(&self, state: &State, others: &[(usize, Rod)]) -> Result<Vec<Vector6<f64>>, ModuleError> {
+        let mut solver = Solver::new(self);
+        let at = &state.unknowns;
+        solver.linearise(at, &state.loads)?;
+        let shift = about(&at.plate.position());
+        let mut room = Assembly::default();
+        let push = |(index, rod): &(usize, Rod)| {
+            let (assembly, condensed) = (&solver.assemblies[*index], &solver.condensed[*index]);
+            let (pressure, strains) = (state.loads.pressures[*index], &at.rods[*index].0);
+            let change = assembly.change_by(rod, &self.basis, pressure, strains, &mut room);
+            let change = change.map_err(|cause| ModuleError::Rod { index: *index, cause })?;
+            Ok(-shift.tr_mul(&condensed.wrench_by(change)))
+        };
+        others.iter().map(push).collect()
+    }
+
     /// The module with a finer resolution, and its equilibrium at `state`.
     pub fn refined(&self, state: &State) -> Result<(Module, State), ModuleError> {
         let fine = self.with_resolution(self.resolution.refined())?;
@@ -276,9 +301,7 @@ impl<'a> Solver<'a> {
     ) -> State {
         let centre = unknowns.plate.position();
         let (mut stiffness, mut sum, mut unstable_rods, mut energy) = (Matrix6::zeros(), DualVector::ZERO, 0, 0.0);
-        let identity = Matrix3::identity();
-        // A twist about the centre seen from the origin: v0 = v + p x w.
-        let shift = blocks(identity, Matrix3::zeros(), skew(&centre), identity);
+        let shift = about(&centre);
         let mut by_pressure = Vec::with_capacity(self.condensed.len());
         for ((condensed, assembly), (_, w)) in self.condensed.iter().zip(&self.assemblies).zip(&unknowns.rods) {
             stiffness += condensed.tip_stiffness();
@@ -298,6 +321,12 @@ impl<'a> Solver<'a> {
         };
         State { loads, unknowns, stiffness, by_pressure, unstable_rods, unstable_plate, energy, clearance, iterations }
     }
+}
+
+/// A twist about `centre` seen from the origin: v0 = v + p x w.
+fn about(centre: &Vector3<f64>) -> Matrix6<f64> {
+    let identity = Matrix3::identity();
+    blocks(identity, Matrix3::zeros(), skew(centre), identity)
 }
 
 /// Negative eigenvalues of the symmetric part of K; Cholesky's factorisation is the fast answer where there are none.

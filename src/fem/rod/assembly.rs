@@ -120,6 +120,20 @@ impl Assembly {
         Ok(())
     }
 
+    /// By how much dU/dq would change if the rod at the strains `q` were `other`, whose energy alone is assembled here.
+    pub fn change_by(
+        &self,
+        other: &Rod,
+        basis: &Basis,
+        pressure: f64,
+        q: &[f64],
+        room: &mut Assembly,
+    ) -> Result<Vec<f64>, RodError> {
+        room.clear(basis.modes);
+        room.constitutive(other, basis, pressure, q)?;
+        Ok(room.internal.iter().zip(&self.internal).map(|(b, a)| b - a).collect())
+    }
+
     /// The tip's pose.
     pub fn tip(&self) -> DualMatrix {
         self.nodes.last().copied().unwrap_or_else(DualMatrix::identity)
@@ -347,6 +361,9 @@ mod tests {
             + condensed.wrench_by_pressure() * dp;
         assert!((from_tip - dw).norm() < 1e-9 && (moment_force(&change) - dw).norm() == 0.0);
         assert!((condensed.tip_stiffness() - condensed.tip_stiffness().transpose()).amax() < 1e-9);
+        // A residual that changes as by pressure, by another way.
+        let by = condensed.wrench_by(a.by_pressure.clone()) - condensed.wrench_by_pressure();
+        assert!(by.norm() < 1e-9 * condensed.wrench_by_pressure().norm());
         assert_eq!(vector6(&twist(&eta)), eta);
     }
 

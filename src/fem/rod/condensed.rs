@@ -184,6 +184,20 @@ impl Condensed {
         self.stiffness * self.free[1]
     }
 
+    /// The change of W, (moment, force), at a held tip by the change `residual` of R, which is used up.
+    pub fn wrench_by(&self, mut residual: Vec<f64>) -> Vector6<f64> {
+        let mut free = Vector6::zeros();
+        for (i, side) in self.sides.chunks_exact(SIDES).enumerate() {
+            let row = &self.factor[i * self.n..][..self.n];
+            let (head, tail) = residual.split_at_mut(i + 1);
+            for (r, u) in tail.iter_mut().zip(&row[i + 1..]) {
+                *r -= u * head[i];
+            }
+            free += Vector6::from_column_slice(&side[..6]) * (head[i] / row[i]);
+        }
+        self.stiffness * free
+    }
+
     /// dW (moment, force) and dq into `dq`, for the tip's target moving by `eta`, the gap `c` and the change of
     /// pressure `dp`; `residual` is 1 to remove the residual, 0 for a tangent.
     pub fn expand(
