@@ -468,9 +468,17 @@ fn the_firmware_of_the_page_obeys_the_driver_and_its_own_watchdog() {
     grantpt(&master).unwrap();
     unlockpt(&master).unwrap();
     let device = PathBuf::from(ptsname(&master, Vec::new()).unwrap().into_string().unwrap());
-    let mut running = Process::new(board).stdin(Stdio::from(master)).stderr(Stdio::piped()).spawn().unwrap();
+    struct Board(std::process::Child);
+    impl Drop for Board {
+        fn drop(&mut self) {
+            // It may have ended by itself.
+            let _ = self.0.kill();
+            let _ = self.0.wait();
+        }
+    }
+    let mut running = Board(Process::new(board).stdin(Stdio::from(master)).stderr(Stdio::piped()).spawn().unwrap());
     let (told, duties) = mpsc::channel();
-    let spoken = BufReader::new(running.stderr.take().unwrap());
+    let spoken = BufReader::new(running.0.stderr.take().unwrap());
     std::thread::spawn(move || spoken.lines().map_while(Result::ok).try_for_each(|line| told.send(line)));
     let next = |duty: &str| {
         let deadline = std::time::Instant::now() + Duration::from_secs(30);
@@ -490,11 +498,11 @@ fn the_firmware_of_the_page_obeys_the_driver_and_its_own_watchdog() {
     let mut other = std::fs::OpenOptions::new().read(true).write(true).open(&device).unwrap();
     let say = |other: &mut std::fs::File, line: &str| std::io::Write::write_all(other, line.as_bytes()).unwrap();
     say(&mut other, "\rA07 0800*D4\rE07 0800*6D\rA07 9999*00\rA07 0800*D3 and so on, without an end\r\rA07 0800*D3\r");
-    assert_eq!(duties.recv_timeout(Duration::from_secs(30)).unwrap(), "A 800", "only the last of these is a command");
+    // Zero may be told once more: by the owner's end, or by the watchdog of a board that got no processor for so long.
+    let mut heard = std::iter::repeat_with(|| duties.recv_timeout(Duration::from_secs(30)).unwrap());
+    assert_eq!(heard.find(|duty| duty != "A 0").unwrap(), "A 800", "only the last of these is a command");
     // Nobody says anything any more.
     let begun = std::time::Instant::now();
     assert_eq!(duties.recv_timeout(Duration::from_secs(30)).unwrap(), "A 0");
     assert!(begun.elapsed() > ms(200), "{:?}", begun.elapsed());
-    running.kill().unwrap();
-    running.wait().unwrap();
 }
