@@ -97,7 +97,7 @@ fn tubes_on_other_channels_than_rig_toml_says_are_refused_with_what_to_change() 
     refused(
         &calibrate(folder.path(), &[]),
         1,
-        &["pressure 1 follows no channel", "1 is `two` with channel B", "`channel` in rig.toml"],
+        &["pressure 1 follows no channel", "1 is `two` with channel B", "`channel` or `unit` in rig.toml"],
     );
     assert_eq!(fs::read_to_string(folder.path().join("calibration/two.toml")).unwrap(), before);
 }
