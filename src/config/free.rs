@@ -314,8 +314,8 @@ fn read_id(section: &mut Section<'_>, serial: &[RawSerial], earlier: &[RawFree])
         _ => {
             let remedy = "write the id that the unit's front panel shows, or the microcontroller's firmware knows";
             section.reject("unit", "must be one letter from A to Z", remedy);
-            // Nobody has it: what is wrong has been said.
-            return (line, b'?');
+            // What is wrong has been said. What can be read is vented all the same, as far as it can be.
+            return (line, b'A');
         }
     };
     let taken = earlier.iter().find(|free| !line.is_empty() && free.units().any(|unit| unit == (line.as_str(), id)));
