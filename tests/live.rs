@@ -104,6 +104,9 @@ fn listening(port: u16) -> Vec<String> {
             }
         }
     }
+    // The table is no snapshot: a row may be told twice when sockets come or go between two reads of it.
+    found.sort();
+    found.dedup();
     found
 }
 
