@@ -74,7 +74,7 @@ pub(super) fn read_module(root: &mut Section<'_>, i2c: &[RawI2c], frees: &[RawFr
     }
     let mut twin = section.section("sim");
     let damping = twin.number("damping_percent", 20.0, 1.0..=90.0);
-    let payload = 1e-3 * twin.number("payload_g", 0.0, 0.0..=5000.0);
+    let payload = twin.number("payload_g", 0.0, 0.0..=5000.0);
     let members = members?;
     for index in members {
         let tube = frees[index].calibration.tube().0;

@@ -101,8 +101,10 @@ struct Channel {
     free: usize,
     /// s.
     lag: f64,
-    /// s.
+    /// s, with half of the time in which its line serves it once.
     dead_time: f64,
+    /// A reading's way back.
+    reply: Duration,
     /// Pa.
     highest: f64,
     /// The latest pressures, Pa, and when they were read.
@@ -140,7 +142,9 @@ impl<'g> Follower<'g> {
             Channel {
                 free,
                 lag: known.map_or(0.0, |free| free.regulator.lag.as_secs_f64()),
-                dead_time: known.map_or(0.0, |free| free.regulator.dead_time.as_secs_f64()),
+                dead_time: known
+                    .map_or(0.0, |free| (free.regulator.dead_time + free.regulator.period / 2).as_secs_f64()),
+                reply: Duration::try_from_secs_f64(rig.reply(free)).unwrap_or_default(),
                 highest: known.map_or(0.0, |free| free.limits.pressure_max),
                 memory: VecDeque::new(),
             }
@@ -282,7 +286,7 @@ impl Channel {
         let Some(tick) = record.frees().get(self.free) else { return };
         let reading = &tick.pressure;
         let known = match reading.health {
-            RegulatorHealth::Good if reading.pressure.is_finite() => (reading.time, reading.pressure),
+            RegulatorHealth::Good if reading.pressure.is_finite() => (reading.time - self.reply, reading.pressure),
             _ => (record.time, tick.command),
         };
         if self.memory.back().is_none_or(|last| known.0 > last.0) {

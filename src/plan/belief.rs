@@ -8,8 +8,8 @@
 //!     k = C h / (h.C h + noise^2)      u += k (measured - predicted)      C -= k (C h)^T
 //! ```
 //!
-//! Successive readings share their errors (the fusion drifts, the model is off by the same amount for a while), so a
-//! reading counts only for its share of `ALIKE`.
+//! A reading's own noise is white. What else it is off by (the fusion drifts, the linear model is off by the same amount
+//! for a while) successive readings share, so that of it a reading counts only for its share of `ALIKE`.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -26,12 +26,12 @@ pub(super) const LAG: usize = SCATTER + 1;
 /// Standard deviations to begin with: a winding machine's degree; 5 % each of the rubber and of the wall.
 const ANGLE: f64 = std::f64::consts::PI / 180.0;
 const BATCH: f64 = 0.05;
-/// kg, s.
-const LOAD: f64 = 0.02;
+/// kg, s. A payload is hardly seen in a rotation: of those that nobody has said the likely ones are a plate's own weight.
+const LOAD: f64 = 0.01;
 const DELAY: f64 = 0.02;
 /// s, after which what is not seen again is as unknown as at first.
 const FORGOTTEN: f64 = 120.0;
-/// s, for which a reading's error stays the same.
+/// s, for which what successive readings share stays the same: a quarter of an eight of four seconds.
 const ALIKE: f64 = 1.0;
 
 /// How a measured number follows from the unknowns, per unit of each.
@@ -104,11 +104,11 @@ impl Belief {
         }
     }
 
-    /// Learns from a number that is `off` by what the unknowns as they are say of it, whose standard deviation is `noise`, read
-    /// `dt` s after the one before.
-    pub(super) fn learn(&mut self, row: &Row, off: f64, noise: f64, dt: f64) {
+    /// Learns from a number that is `off` by what the unknowns as they are say of it, read `dt` s after the one before;
+    /// standard deviations of its `white` noise and of what it has `shared` with that one.
+    pub(super) fn learn(&mut self, row: &Row, off: f64, (white, shared): (f64, f64), dt: f64) {
         let along = self.covariance * row;
-        let variance = row.dot(&along) + noise * noise * (ALIKE / dt).max(1.0);
+        let variance = row.dot(&along) + white * white + shared * shared * (ALIKE / dt).max(1.0);
         if !(variance > 0.0 && off.is_finite() && variance.is_finite()) {
             return;
         }

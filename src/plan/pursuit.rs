@@ -3,7 +3,7 @@
 //! [`Pursuit::see`] takes what is measured of the plate (its rotation, and its position where something outside sees
 //! it) with the pressures that made it, and learns ([`Belief`]). [`Pursuit::correct`] looks a little ahead, at where the
 //! plate is going to be by the model and all that was learned, and says by how much the plan's pressures are to be
-//! changed: one Gauss-Newton step a turn,
+//! changed: half of a Gauss-Newton step a turn,
 //!
 //! ```text
 //!     min |J dp - (target - predicted)|^2 + weight^2 |trim + dp|^2        0 <= p + trim + dp <= p_max
@@ -21,10 +21,17 @@ use super::scatter::{Family, SCATTER};
 use super::{FREES, Rest};
 use crate::fem::module::{Loads, State};
 
-/// Standard deviation of a measured rotation about each axis, rad: a BNO055.
-const ROTATION: f64 = 0.3 * std::f64::consts::PI / 180.0;
+/// White noise of a measured rotation about each axis, rad: the most that `freerig calibrate imu` lets pass. Of a pressure, Pa.
+const ROTATION: f64 = 0.2 * std::f64::consts::PI / 180.0;
+const PRESSURE: f64 = 0.01 * crate::units::PASCAL_PER_PSI;
+/// What the unknowns' linear model leaves of a rotation, rad: of six modules, as far from theirs as a batch is, 0.06 to
+/// 0.15 deg over an eight of 8 mm.
+const LINEAR: f64 = 0.1 * std::f64::consts::PI / 180.0;
 /// Error of a target, m, that a change of a pressure by 1 Pa is worth (0.02 mm and 1 psi).
 const WEIGHT: f64 = 2e-5 / crate::units::PASCAL_PER_PSI;
+/// Share of a step that is taken. What was learned moves with the pressures too, which the Jacobian does not know: where a
+/// module is far from its model, whole steps swing about the minimum.
+const SHARE: f64 = 0.5;
 /// A model that has learned all it can is still off by so much, m: a pose is not judged by less.
 const MODEL: f64 = 5e-4;
 /// A reading that is farther from what is expected than so many standard deviations is none.
@@ -114,8 +121,11 @@ impl<'a> Pursuit<'a> {
         });
         if let Some(rotation) = &seen.rotation {
             let off = (rotation * self.seen.rotation().inverse()).scaled_axis();
-            for (row, off) in rows.iter().zip(&off) {
-                self.belief.learn(row, off - self.belief.expected(row, payload), ROTATION, dt);
+            for (i, (row, off)) in rows.iter().zip(&off).enumerate() {
+                // The pressures are read, too.
+                let turns = by_pressure.iter().map(|by| (by[i] * PRESSURE).powi(2)).sum::<f64>();
+                let white = (ROTATION * ROTATION + turns).sqrt();
+                self.belief.learn(row, off - self.belief.expected(row, payload), (white, LINEAR), dt);
             }
         }
         let model = self.seen.position();
@@ -126,7 +136,7 @@ impl<'a> Pursuit<'a> {
             let within = (0..3).all(|i| off(&self.belief, i).abs() <= OUTLIER * sure(i));
             for i in (0..3).filter(|_| within) {
                 let off = off(&self.belief, i);
-                self.belief.learn(&rows[3 + i], off, noise, dt);
+                self.belief.learn(&rows[3 + i], off, (0.0, noise), dt);
             }
             believed = Some(within);
         }
@@ -161,7 +171,7 @@ impl<'a> Pursuit<'a> {
         let h = jacobian.tr_mul(&jacobian) + Matrix4::identity() * (WEIGHT * WEIGHT);
         let g = self.trim * (WEIGHT * WEIGHT) - jacobian.tr_mul(&off);
         let step = Quadratic { h, g, low: low - self.trim, high: high - self.trim }.least();
-        self.trim = bounded(self.trim + step);
+        self.trim = bounded(self.trim + SHARE * step);
         Some(self.trim.into())
     }
 

@@ -1,8 +1,8 @@
 //! What a module can reach.
 //!
 //! [`cases`] follows the paper's five cases of actuation, fifteen paths in the pressure. [`reach`] samples all four
-//! pressures: a grid over their box, each of whose points is come to from a neighbour along a stable way, then the
-//! farthest plates in directions all round, by bounded searches that begin at the farthest sample.
+//! pressures: those paths, a grid over their box, each of whose points is come to from a neighbour along a stable way,
+//! then the farthest plates in directions all round, by bounded searches that begin at the farthest sample.
 //!
 //! What is called a hull is the convex hull of the plates *found*: each of its corners is an equilibrium, nothing
 //! outside it was found, and what lies inside need not be reachable: [`Outline::filled`] says how much of it is.
@@ -167,6 +167,16 @@ impl CasePath {
         let shift = Vector3::from(last.position) - rest.state().position();
         Some((shift.xy().norm(), shift.z))
     }
+
+    /// Pressures and plates that are within `limits`.
+    fn within(&self, limits: &Limits) -> impl Iterator<Item = ([f64; 4], Pose)> {
+        let all = self.pressures.iter().zip(&self.poses).zip(&self.margins);
+        all.filter_map(|((pressure, pose), margin)| {
+            let pressures = self.case.pressures(*pressure);
+            let within = margin.smooth >= limits.margin && limits.clip(&pressures) == pressures;
+            within.then_some((pressures, *pose))
+        })
+    }
 }
 
 /// The paths of a module of 30 deg and of one of 60 deg up to 7 psi against the paper's figures.
@@ -194,20 +204,21 @@ pub fn against_paper(thirty: (&Rest<'_>, &[CasePath]), sixty: (&Rest<'_>, &[Case
     ]
 }
 
-/// What the module reaches within `limits`, whose slew rate does not count.
+/// What the module reaches within `limits`, whose slew rate does not count; the plates of `paths` that are within them
+/// are among those found.
 ///
 /// # Errors
 /// Limits that are none, the lowest pressures out of reach.
-pub fn reach(rest: &Rest<'_>, limits: &Limits) -> Result<Reach, PlanError> {
+pub fn reach(rest: &Rest<'_>, limits: &Limits, paths: &[CasePath]) -> Result<Reach, PlanError> {
     limits.check()?;
     let (mut states, refused) = grid(rest, limits)?;
     let planes = [[0, 1], [0, 2]];
     let ways: Vec<_> = planes.iter().flat_map(|plane| (0..DIRECTIONS).map(move |k| direction(plane, k))).collect();
     let farthest: Result<Vec<_>, _> = ways.par_iter().map(|way| farthest(rest, limits, &states, way)).collect();
     states.extend(farthest?);
-    let tips: Vec<Vector3<f64>> = states.iter().map(|s| s.position()).collect();
-    let [xy, xz] = planes.map(|plane| outline(rest, limits, &states, &tips, plane));
-    let found: Vec<_> = states.iter().map(|s| (pressures_of(s), Pose::of(s))).collect();
+    let searched = states.iter().map(|s| (pressures_of(s), Pose::of(s)));
+    let found: Vec<_> = searched.chain(paths.iter().flat_map(|path| path.within(limits))).collect();
+    let [xy, xz] = planes.map(|plane| outline(rest, limits, &states, &found, plane));
     let twists = found.iter().map(|(_, pose)| twist(pose));
     let twist = twists.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)]);
     let tilt = found.iter().map(|(_, pose)| tilt(pose)).fold(0.0, f64::max);
@@ -294,10 +305,10 @@ fn outline(
     rest: &Rest<'_>,
     limits: &Limits,
     states: &[State],
-    tips: &[Vector3<f64>],
+    found: &[([f64; 4], Pose)],
     plane: [usize; 2],
 ) -> Result<Outline, PlanError> {
-    let corners = hull(tips.iter().map(|p| [p[plane[0]], p[plane[1]]]).collect());
+    let corners = hull(found.iter().map(|(_, pose)| plane.map(|axis| pose.position[axis])).collect());
     let next = corners.iter().cycle().skip(1);
     let area = 0.5 * corners.iter().zip(next).map(|(p, q)| p[0] * q[1] - p[1] * q[0]).sum::<f64>();
     let extent = |i: usize| {
@@ -313,10 +324,13 @@ fn outline(
         .filter(|point| inside(&corners, point))
         .collect();
     let reached = |point: &[f64; 2]| -> Result<bool, PlanError> {
-        let apart = |tip: &Vector3<f64>| (tip[plane[0]] - point[0]).hypot(tip[plane[1]] - point[1]);
-        let nearest = states.iter().zip(tips).min_by(|a, b| apart(a.1).total_cmp(&apart(b.1)));
-        let Some((start, tip)) = nearest else { return Ok(false) };
-        let mut target = Target::point(*tip);
+        let apart = |state: &State| {
+            let tip = state.position();
+            (tip[plane[0]] - point[0]).hypot(tip[plane[1]] - point[1])
+        };
+        let nearest = states.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
+        let Some(start) = nearest else { return Ok(false) };
+        let mut target = Target::point(start.position());
         target.position_weight = Vector3::zeros();
         for (axis, x) in plane.into_iter().zip(point) {
             target.position[axis] = *x;

@@ -106,21 +106,24 @@ fn the_papers_figures_stand_beside_ours() {
     assert!((one - 0.010).abs() < 0.005 && (three - 0.010).abs() < 0.005, "{one} {three}");
 }
 
+/// How far `p` is outside of the hull of `corners`, m.
+fn outside(corners: &[[f64; 2]], p: [f64; 2]) -> f64 {
+    let next = corners.iter().cycle().skip(1);
+    let off = corners.iter().zip(next).map(|(a, b)| {
+        let way = [b[0] - a[0], b[1] - a[1]];
+        ((p[0] - a[0]) * way[1] - (p[1] - a[1]) * way[0]) / way[0].hypot(way[1])
+    });
+    off.fold(f64::NEG_INFINITY, f64::max)
+}
+
 #[test]
 fn the_hull_holds_every_path_and_is_symmetric() {
     for gamma in [30.0, 60.0] {
         let m = module(gamma);
         let rest = rest(&m);
         let limits = Limits::up_to(5.0 * PSI);
-        let reach = reach(&rest, &limits).unwrap();
-        let outside = |corners: &[[f64; 2]], p: [f64; 2]| {
-            let next = corners.iter().cycle().skip(1);
-            let off = corners.iter().zip(next).map(|(a, b)| {
-                let way = [b[0] - a[0], b[1] - a[1]];
-                ((p[0] - a[0]) * way[1] - (p[1] - a[1]) * way[0]) / way[0].hypot(way[1])
-            });
-            off.fold(f64::NEG_INFINITY, f64::max)
-        };
+        // By the searches alone.
+        let reach = reach(&rest, &limits, &[]).unwrap();
         // What can be reached is mirrored at x = 0 and y = 0; the searches stop within micrometres of the edge, and a
         // tenth of a millimetre away where it is flat.
         for (outline, signs) in [(&reach.xy, [[-1.0, 1.0], [1.0, -1.0]]), (&reach.xz, [[-1.0, 1.0], [-1.0, 1.0]])] {
@@ -143,4 +146,21 @@ fn the_hull_holds_every_path_and_is_symmetric() {
         }
         assert!((reach.twist[0] + reach.twist[1]).abs() < 1e-6 && reach.tilt > 0.1);
     }
+}
+
+#[test]
+fn the_hull_of_all_plates_holds_the_paths_up_to_their_ends() {
+    let m = module(60.0);
+    let rest = rest(&m);
+    let paths = cases(&rest, 7.0 * PSI, 29).unwrap();
+    let plates = |margin: f64| {
+        let limits = Limits { margin, ..Limits::up_to(7.0 * PSI) };
+        let reach = reach(&rest, &limits, &paths).unwrap();
+        let poses = paths.iter().flat_map(|path| &path.poses).map(|pose| pose.position);
+        let off = poses.map(|[x, y, z]| outside(&reach.xy.corners, [x, y]).max(outside(&reach.xz.corners, [x, z])));
+        off.fold(f64::NEG_INFINITY, f64::max)
+    };
+    // Corners and edges are exact to rounding; a margin that is asked for leaves the paths' ends out.
+    assert!(plates(0.0) < 1e-12);
+    assert!(plates(0.2) > 1e-4);
 }

@@ -68,22 +68,24 @@ fn way(seed: u64, payload: f64, periods: u32, open_loop: bool) -> TipPath {
     path
 }
 
-/// Root of the mean square.
-fn rms(values: &[f64]) -> f64 {
-    (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt()
+/// What is asked of a module that is not the model's: 5 % of the eight's width, and a third of what the plan as it stands
+/// is off by.
+fn follows(seed: u64) {
+    let [open, closed] = [true, false].map(|open| off(&way(seed, 0.0, 2, open), 0).rms);
+    assert!(closed <= 0.05 * WIDTH && 3.0 * closed <= open, "seed {seed}: {open} {closed}");
 }
 
 #[test]
 fn the_eight_is_followed_on_modules_that_are_not_the_models() {
-    let (mut open, mut closed) = (Vec::new(), Vec::new());
-    for seed in 1..=6 {
-        open.push(off(&way(seed, 0.0, 2, true), 0).rms);
-        closed.push(off(&way(seed, 0.0, 2, false), 0).rms);
-    }
-    // Of six modules together; of each alone it does not hold: an orientation shows neither how long the FREEs have become nor
-    // everything that is unlike, and the plate of seed 4 stays 6 % of the width off. A tracker sees the rest, as below.
-    assert!(rms(&closed) <= 0.05 * WIDTH, "{closed:?}");
-    assert!(3.0 * rms(&closed) <= rms(&open), "{open:?} {closed:?}");
+    // The last is the hardest of the eighteen: a winding angle off by more than two degrees.
+    [1, 2, 3, 4, 5, 6, 105].into_iter().for_each(follows);
+}
+
+/// Minutes, for the laws of 48 FREEs.
+#[test]
+#[ignore = "some minutes: cargo test --release --test whisk -- --ignored --nocapture twelve_more"]
+fn the_eight_is_followed_on_twelve_more() {
+    (101..=112).for_each(follows);
 }
 
 #[test]
@@ -91,9 +93,10 @@ fn a_payload_that_nobody_has_said_does_not_unsettle_it() {
     for payload in [0.0, 25.0, 50.0] {
         let [open, closed] = [true, false].map(|open| way(1, payload, 2, open));
         let [first, last] = [0, 1].map(|period| off(&closed, period));
-        // Whoever oscillates goes on growing; and it is much nearer than the plan as it stands.
+        // Whoever oscillates goes on growing. A rotation hardly shows a payload, which lengthens the FREEs and stiffens them
+        // sideways: what it costs is the error, but the plate is nearer than by the plan as it stands.
         assert!(last.peak <= 1.2 * first.peak, "{payload} g: {first:?} {last:?}");
-        assert!(last.rms < 0.6 * off(&open, 1).rms, "{payload} g: {last:?}");
+        assert!(last.rms < off(&open, 1).rms, "{payload} g: {last:?}");
     }
 }
 

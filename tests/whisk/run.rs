@@ -99,6 +99,14 @@ fn what_is_no_module_is_told_with_its_rule() {
 }
 
 #[test]
+fn a_payload_that_nobody_has_said_hangs_on_the_simulated_plate_alone() {
+    let (_folder, rig) = rig(&[("damping_percent = 20", "payload_g = 50\ndamping_percent = 20")]);
+    let there = rig.bench.module.as_ref().unwrap().true_scene(&rig.bench).plate_mass;
+    let said = rig.module_scene().unwrap().plate_mass;
+    assert!((there - 0.06).abs() < 1e-12 && (said - 0.01).abs() < 1e-12, "{there} {said}");
+}
+
+#[test]
 fn the_module_that_is_the_models_goes_where_the_plan_says_but_for_the_regulators_lag() {
     let (_folder, rig) = rig(&[("scatter_percent = 5 ", "scatter_percent = 0 ")]);
     let run = carry_out(&rig, &circle());
