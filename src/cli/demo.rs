@@ -36,9 +36,18 @@ const LATE: [FaultCode; 4] = [FaultCode::Deadline, FaultCode::PressureStale, Fau
 /// How often arming is tried on a machine that is busy.
 const ATTEMPTS: u32 = 5;
 
+const EXAMPLES: &str = "\
+Measures the simulated FREE, runs the paper's trajectory in real time, compares the published gains with freerig's own, \
+and lets a module whisk while a fifth FREE turns a knob. It writes into the folder of the runs and leaves the \
+calibration as it is; open the report that it names last in a browser.
+
+Examples:
+  freerig demo
+  freerig demo --json";
+
 /// What `freerig demo` takes.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  freerig demo\n  freerig demo --json")]
+#[command(after_help = EXAMPLES)]
 pub struct Args {}
 
 /// What came of it.

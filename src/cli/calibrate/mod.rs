@@ -29,7 +29,7 @@ use crate::daemon::validity;
 use crate::record::Run;
 
 const EXAMPLES: &str = "\
-The rig must be armed (`freerig arm`); Ctrl-C takes the pressures down and leaves the old calibration as it was. With
+The rig must be armed (`freerig arm`); Ctrl-C takes the pressures down and leaves the old calibration as it was. With \
 --stepped no daemon is needed: the simulated rig runs here.
 
 Examples:

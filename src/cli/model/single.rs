@@ -19,9 +19,9 @@ use crate::units::{Force, Length, Percent, Pressure};
 const CURVE: std::ops::RangeInclusive<u32> = 0..=10;
 
 const EXAMPLES: &str = "\
-Without --pressure it computes 0, 1, ... 10 psi. Past a limit the values are missing and the limit is named: that is an
-answer, not a failure. Signs: z from base to tip, right-handed; force and moment are what the closed FREE does to its
-distal support, the thrust on its cap included.
+Without --pressure it computes 0, 1, ... 10 psi. Past a limit the values are missing and the limit is named: that is \
+an answer, not a failure. Signs: z from base to tip, right-handed; force and moment are what the closed FREE does to \
+its distal support, the thrust on its cap included.
 
 Examples:
   freerig model single --gamma -40deg --pressure 7psi

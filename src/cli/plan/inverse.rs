@@ -16,8 +16,8 @@ use crate::plan::{Inverse, Pose, Rest, Target, inverse};
 use crate::units::{Angle, Length, PASCAL_PER_PSI};
 
 const EXAMPLES: &str = "\
-A point leaves one of the four pressures free: it goes to the largest margin. A target out of reach is projected to the
-nearest plate, and the reason is told: that is an answer, not a failure.
+A point leaves one of the four pressures free: it goes to the largest margin. A target out of reach is projected to \
+the nearest plate, and the reason is told: that is an answer, not a failure.
 
 Examples:
   freerig plan inverse --gamma 60deg --position 4mm,-3mm,131mm
