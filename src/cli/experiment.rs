@@ -67,7 +67,7 @@ pub struct Args {
 
 /// What a whisk takes.
 #[derive(Debug, clap::Args)]
-#[command(after_help = WHISK_EXAMPLES, mut_arg("file", |file| file.help("The plan: whisk.toml of `freerig plan whisk`")))]
+#[command(after_help = WHISK_EXAMPLES, mut_args(of_a_whisk))]
 pub struct WhiskArgs {
     #[command(flatten)]
     pub plan: Args,
@@ -75,6 +75,15 @@ pub struct WhiskArgs {
     /// the plate an IMU
     #[arg(long)]
     pub open_loop: bool,
+}
+
+/// In the help of a whisk: its file is a plan, and the flags of a course are not for it.
+fn of_a_whisk(arg: clap::Arg) -> clap::Arg {
+    match arg.get_id().as_str() {
+        "file" => arg.help("The plan, as `freerig plan whisk` writes it"),
+        "angles" | "pressures" | "moving" | "hold" | "shape" | "gains" => arg.hide(true),
+        _ => arg,
+    }
 }
 
 /// A course of values in place of a file.
