@@ -157,9 +157,11 @@ fn calibrate(rig: &mut Rig, context: &Context) -> Result<Calibrated, Failure> {
     }
     let seconds = begun.elapsed().as_secs_f64();
     for value in &finding.values {
-        let before = value.before.map_or("nothing".into(), |before| format!("{before:.4}"));
+        let before = value.before.map_or("the calibration does not say it".into(), |before| {
+            format!("not {before:.4} as the calibration says")
+        });
         context.note(format!(
-            "   {} {:.4} +- {:.4}, not {before} as the calibration says; in {seconds:.1} s",
+            "   {} {:.4} +- {:.4}, {before}; in {seconds:.1} s",
             value.key, value.value, value.standard_uncertainty
         ));
     }

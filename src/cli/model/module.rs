@@ -27,7 +27,7 @@ A table of rows has the columns a_psi, b_psi, c_psi, d_psi, or in another unit o
 other columns are passed over.
 
 Examples:
-  freerig model module --gamma 60deg --pressures 5psi,0psi,0psi,0psi
+  freerig model module --gamma 60deg --pressures 5psi,0psi,0psi,0psi --fidelity rod
   freerig model module --gamma 30deg --layout LRLR --spacing 25mm --pressures 4psi,4psi,0psi,0psi
   freerig model module --gamma 60deg --plate-mass 30g --gravity 0m/s2,9.81m/s2,0m/s2 --force -0.1N,0N,0N \\
       --pressures 3psi,0psi,3psi,0psi

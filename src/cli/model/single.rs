@@ -24,7 +24,7 @@ an answer, not a failure. Signs: z from base to tip, right-handed; force and mom
 its distal support, the thrust on its cap included.
 
 Examples:
-  freerig model single --gamma -40deg --pressure 7psi
+  freerig model single --gamma -40deg --pressure 1psi,2psi
   freerig model single --gamma 60deg --ends blocked --pressure 2psi,4psi --fidelity section
   freerig model single --length 130mm --pressure 5psi --fidelity auto --tolerance 1% --json
   freerig model single --gamma 30deg --fiber-model line --fidelity solid --pressure 3psi

@@ -25,7 +25,7 @@ the folder of the runs.
 
 Examples:
   freerig plan workspace --gamma 60deg
-  freerig plan inverse --gamma 60deg --position 4mm,-3mm,131mm
+  freerig plan inverse --gamma 60deg --length 130mm --position 4mm,-3mm,131mm
   freerig --rig experiments/module/rig.toml plan whisk --output whisk.toml
   freerig plan design --sweep gamma=20deg..70deg";
 
