@@ -46,14 +46,19 @@
 //!
 //! ```text
 //!   a thread per bus (hardware)     zero and commands first, then readings
-//!        |   ^                                         latest-value slots: an old set-point is never replayed
-//!        v   |
-//!   the tick (rt, control)          samples and their age -> estimator -> reference(t) -> controller -> interlocks
-//!        |   ^                      neither allocates, locks, logs nor waits; runs in every state
-//!        |   +------------------- trims of the model thread (plan), while a plate is led along a path
-//!        v                                             a bounded ring of records: an overflow is counted and told
-//!   pump and recorder               samples.arrows, run.rrd, the live view
-//!   supervisor (daemon)             life cycle, procedures, control socket; the emergency stop has a socket of its own
+//!        |  ^
+//!        v  |     latest-value slots: an old set-point is never replayed
+//!   the tick (rt, control)          samples and their age -> estimator -> reference(t)
+//!        |  ^                       -> controller -> interlocks, in every state;
+//!        |  |                       neither allocates, locks, logs nor waits
+//!        |  +---- trims of the model thread (plan), while a plate is led along a path
+//!        v
+//!        a bounded ring of records: an overflow is counted and told
+//!        |
+//!        v
+//!   pump, recorder (daemon, record) samples.arrows, run.rrd, the live view
+//!   supervisor (daemon)             life cycle, procedures, control socket;
+//!                                   the emergency stop has a socket of its own
 //! ```
 //!
 //! A [`signal::TickRecord`] holds everything that a tick saw, decided and commanded, so that
