@@ -283,7 +283,14 @@ impl Report {
                     Force::newtons(tube.fiber_ea)
                 ),
             ),
-            ("rubber".into(), format!("{:?}", tube.law)),
+            (
+                "rubber".into(),
+                format!(
+                    "{}, mu {:.3} MPa",
+                    tube.law.exponent().map_or("linear".into(), |alpha| format!("Ogden, alpha {alpha}")),
+                    tube.law.shear_modulus() / 1e6
+                ),
+            ),
             ("discretisation error, estimated".into(), percent(self.discretisation_error_estimate)),
             ("model error, estimated".into(), percent(self.model_error_estimate)),
         ];
