@@ -30,7 +30,7 @@ use crate::record::Run;
 
 const EXAMPLES: &str = "\
 The rig must be armed (`freerig arm`); Ctrl-C takes the pressures down and leaves the old calibration as it was. With \
---stepped no daemon is needed: the simulated rig runs here. Every step asks whether all is mounted as it says; a script \
+--stepped no daemon is needed: the simulated rig runs here. Of a real FREE every step asks whether all is mounted; a script \
 answers in a person's place: a file with the line `ready = [\"imu\", \"regulator\", \"stiffness\", \"damping\"]`.
 
 Examples:
