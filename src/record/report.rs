@@ -333,7 +333,7 @@ fn provenance(page: &mut Page, run: &Run) {
         page.fact(
             &format!("gains of {}", free.name),
             &format!(
-                "Kp {} Pa/rad, Ki {} Pa/(rad s), Kd {} Pa s/rad{preset}",
+                "Kp {:.0} Pa/rad, Ki {:.0} Pa/(rad s), Kd {:.0} Pa s/rad{preset}",
                 g.proportional_pa_per_rad, g.integral_pa_per_rad_s, g.derivative_pa_s_per_rad
             ),
         );

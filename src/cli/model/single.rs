@@ -20,12 +20,12 @@ use crate::units::{Force, Length, Percent, Pressure};
 const CURVE: std::ops::RangeInclusive<u32> = 0..=10;
 
 const EXAMPLES: &str = "\
-Without --pressure it computes 0, 1, ... 10 psi. Past a limit the values are missing and the limit is named: that is an
-answer, not a failure. Signs: z from base to tip, right-handed; force and moment are what the closed FREE does to its
-distal support, the thrust on its cap included.
+Without --pressure it computes 0, 1, ... 10 psi. Past a limit the values are missing and the limit is named: that is \
+an answer, not a failure. Signs: z from base to tip, right-handed; force and moment are what the closed FREE does to \
+its distal support, the thrust on its cap included.
 
 Examples:
-  freerig model single --gamma -40deg --pressure 7psi
+  freerig model single --gamma -40deg --pressure 1psi,2psi
   freerig model single --gamma 60deg --ends blocked --pressure 2psi,4psi --fidelity section
   freerig model single --length 130mm --pressure 5psi --fidelity auto --tolerance 1% --json
   freerig model single --gamma 30deg --fiber-model line --fidelity solid --pressure 3psi
@@ -297,7 +297,14 @@ impl Report {
                     Force::newtons(tube.fiber_ea)
                 ),
             ),
-            ("rubber".into(), format!("{:?}", tube.law)),
+            (
+                "rubber".into(),
+                format!(
+                    "{}, mu {:.3} MPa",
+                    tube.law.exponent().map_or("linear".into(), |alpha| format!("Ogden, alpha {alpha}")),
+                    tube.law.shear_modulus() / 1e6
+                ),
+            ),
             ("discretisation error, estimated".into(), percent(self.discretisation_error_estimate)),
             ("model error, estimated".into(), percent(self.model_error_estimate)),
         ];
