@@ -45,8 +45,8 @@ pub struct Curve {
     /// Estimated relative error of the equilibria, as [`crate::fem::measure`] has it; none where no second mesh has any
     /// of them.
     pub error: Option<f64>,
-    /// Magnitude of the pressure (Pa) up to which a finer and a sharper mesh have the equilibria, too, where beyond it the
-    /// rubber folds at the strip's end on some of the meshes ([`folds`]) and not on others. The equilibria, and their
+    /// Magnitude of the pressure (Pa) up to which a finer and a sharper mesh are known to have the equilibria, too, where
+    /// beyond it the rubber folds at the strip's end on some of the meshes ([`folds`]) and not on others. The equilibria, and their
     /// error, are those of rubber that has not folded.
     pub folds_beyond: Option<f64>,
     /// The mesh; equilibria beyond its own fold are those of [`Mesh::blunt`].
@@ -105,7 +105,8 @@ pub fn curve_within(tube: &Tube, pressures: &[f64], ends: Ends, tolerance: f64) 
         }
         blunt = Some(others);
     }
-    // Rubber whose ends are free bears too little under the strip to fold there.
+    // A tube that is free to move bears too little under the strip: of 60 seeded ones none folds on the sharp mesh up to
+    // `mu wall / Ri`.
     let free_ends = matches!((ends.axial, ends.torsion), (End::Loaded(_), End::Loaded(_)));
     let sharp = if mesh_dependent || free_ends {
         f64::INFINITY
