@@ -143,7 +143,11 @@ fn free_section(
     if let Some(table) = &signals.temperatures {
         page.figure("What the knob sets", &marked(figures::temperature(signals, table))?);
     }
-    page.figure("Error", &marked(figures::error(signals, model))?);
+    // Pressures that were commanded, without a model to compare with, have none.
+    let error = figures::error(signals, model);
+    if !error.lines.is_empty() {
+        page.figure("Error", &marked(error)?);
+    }
     page.figure("Pressure", &marked(figures::pressure(signals))?);
     if signals.quantity == Quantity::Angle {
         page.figure("Controller's terms", &marked(figures::terms(signals))?);
