@@ -46,8 +46,8 @@ pub struct Curve {
     /// of them.
     pub error: Option<f64>,
     /// Magnitude of the pressure (Pa) up to which a finer and a sharper mesh are known to have the equilibria, too, where
-    /// beyond it the rubber folds at the strip's end on some of the meshes ([`folds`]) and not on others. The equilibria, and their
-    /// error, are those of rubber that has not folded.
+    /// beyond it the rubber folds at the strip's end on some of the meshes ([`folds`]) and not on others. The equilibria,
+    /// and their error, are those of rubber that has not folded.
     pub folds_beyond: Option<f64>,
     /// The mesh; equilibria beyond its own fold are those of [`Mesh::blunt`].
     pub mesh: Mesh,

@@ -46,7 +46,7 @@
 //! | 30 deg | 8.3 | 7.9 | 8.1 | 8.1 | 7.1 |
 //! | 40 deg | 9.5 | 6.7 | 5.9 | 5.7 | 5.6 |
 //! | 60 deg | 10.0 | 6.3 | 4.2 | 3.3 | 4.2 |
-//! | 80 deg | 11.6 | 6.3 | 3.8 | 2.8 | 3.6 |
+//! | 80 deg | 11.6 | 6.3 | 3.8 | 2.8 | 3.9 |
 //!
 //! Up to 40 deg it converges; from 60 deg on it goes on falling as the elements at the strip's end do: there the traction
 //! turns the surface without bound, as the logarithm of the distance, and some ring of elements is always small enough to
@@ -55,11 +55,11 @@
 //! 30 deg its forces bend off between 8 and 9 psi, by half a per cent at 10).
 //!
 //! The path turns back at a fold in pressure and volume alike, so that no other control parameter carries on with it. The
-//! tube [snaps](Section::snapped) into another equilibrium. Next to the fold that bears nearly the same where fibres are
-//! steep (40 to 80 deg: 0.1 to 1 % less), less where they are not (20 and 30 deg: 3 to 7 %), and farther on, fold after
-//! fold, up to a third less at 10 psi: by amounts of the mesh, and of rubber that may pass through itself. So
-//! [`curve_within`] answers with the branch that has not folded, says from where on other meshes have lost it, and
-//! [`folds`] has where, and what they bear then.
+//! tube [snaps](Section::snapped) into another equilibrium. Next to the fold that bears 0.1 to 1 % less where fibres are
+//! steep and the mesh is fine (40 to 80 deg, level 4 and sharp; level 2: 1 to 5 %), 3 to 7 % less where they are not (20
+//! and 30 deg), and farther on, fold after fold, up to a fifth less at 10 psi, as seeded tubes do: by amounts of the mesh,
+//! and of rubber that may pass through itself. So [`curve_within`] answers with the branch that has not folded, says from
+//! where on other meshes have lost it, and [`folds`] has where, and what they bear then.
 
 mod accuracy;
 mod assembly;

@@ -17,7 +17,8 @@ use super::newton::{Condition, Solution, Workspace};
 use super::{Section, State};
 use crate::fem::ends::Equilibrium;
 
-/// Steps after which a minimum is given up; the folds of the reference tubes take 30 to 150.
+/// Steps after which a minimum is given up. The folds of the reference tubes and of 60 seeded ones take 8 to 159; of the seeded
+/// 46, one is not found.
 const STEPS: usize = 600;
 /// Longest way of a node in one step, over Ro: a fraction of the elements at the strip.
 const LONGEST: f64 = 0.01;
