@@ -141,8 +141,8 @@ fn the_range_of_a_folds_pressure_is_that_of_the_meshes() {
     assert!(sharp < finer && finer < usual && blunt.is_none_or(|blunt| blunt > usual), "{pressures:?}");
     // The reference's fold, that of its mesh, lies within the range.
     assert!((finer..usual).contains(&7.6922165), "{pressures:?}");
-    // At 5 psi level 2 has not folded, but the sharp mesh has: it is said, and the tube that has folded is another state of
-    // equilibrium that bears nearly as much, less than 1 % apart.
+    // At 5 psi level 2 has not folded, but the sharp mesh has: it is said, and the tube that has folded is another
+    // state of equilibrium that bears nearly as much, less than 1 % apart.
     let curve = curve_within(&tube, &[4.0 * PSI, 5.0 * PSI], Ends::BLOCKED, 5e-3).unwrap();
     assert_eq!(curve.folds_beyond, Some(4.0 * PSI));
     let [_, _, finer, sharp] = folds(&tube, Ends::BLOCKED, 5.0 * PSI).unwrap();
@@ -200,7 +200,8 @@ fn the_estimated_error_holds_the_true_one() {
             let curve = curve_within(&tube, &[half, top], ends, 5e-3).unwrap();
             let level = if curve.mesh == Mesh::level(1) { 3 } else { 4 };
             let fine = Section::new(&tube, Mesh::level(level)).unwrap();
-            // Errors are related to the largest state of a curve; where the finer mesh has folded before that, to the one below.
+            // Errors are related to the largest state of a curve; where the finer mesh has folded before that, to the
+            // one below.
             let known = [(top, 1), (half, 0)]
                 .into_iter()
                 .find_map(|(pressure, k)| Some((curve.points[k].as_ref().ok()?, fine.solve(pressure, ends).ok()?)));
@@ -233,8 +234,8 @@ fn the_estimated_error_holds_the_true_one() {
     assert!(held * 100 >= count * 95, "{effectivities:.2?}");
     // An estimate far above the truth costs a finer mesh than is needed.
     assert!(least > 0.5 && middle < 5.0, "{effectivities:.2?}");
-    // Where the floor is the estimate it holds for 95 % of them, and it is no larger than it must be: no more than ten times
-    // the median of what level 1 leaves of free motion.
+    // Where the floor is the estimate it holds for 95 % of them, and it is no larger than it must be: no more than ten
+    // times the median of what level 1 leaves of free motion.
     floored.sort_by(|a, b| a.0.total_cmp(&b.0));
     let within = floored.iter().filter(|(share, _)| *share <= 1.0).count();
     let median = errors.map(|mut errors| {

@@ -103,9 +103,9 @@ fn folding_at_the_strips_end_is_named_and_depends_on_the_mesh() {
         assert_eq!(limit.kind, LimitKind::Folding);
         limit.pressure / PSI
     };
-    // The reference's fold, 7.69 psi, belongs to its mesh. That has 2 306 unknowns, which are those of 6 x 24 elements a
-    // sector; how they are graded is not recorded. Of grades between 1.1 and 1.2 the middle one is within 5 % of it, and
-    // the others lie on either side: a tenth of the grade moves the fold by as much as a tenth.
+    // The reference's fold, 7.69 psi, belongs to its mesh. That has 2 306 unknowns, which are those of 6 x 24 elements
+    // a sector; how they are graded is not recorded. Of grades between 1.1 and 1.2 the middle one is within 5 % of it,
+    // and the others lie on either side: a tenth of the grade moves the fold by as much as a tenth.
     let [more, like, less] =
         [1.1, 1.15, 1.2].map(|growth| fold(Mesh::Counted { radial: 6, strip: 6, gap: 6, growth }) / 7.6922165);
     println!("folds of 6 x 24 elements over the reference's: {more:.3}, {like:.3}, {less:.3}");
@@ -193,8 +193,8 @@ fn beyond_a_limit_every_way_there_is_refused_alike() {
     // Next to a maximum of the pressure, limit - P = c (twist - twist at the limit)^2: the twist's slope over the
     // pressure grows with one over the root of the distance, twice from 0.04 to 0.01 psi. The next term is smaller by
     // that root over the scale of the whole path, sqrt(0.04 / 8.24) = 7 %; the limit's own 4e-5, 3 % of the shorter
-    // distance, moves the ratio by half of that. A limit named 0.01 psi too low would make it 1.6, one 0.005 psi too high
-    // 2.6.
+    // distance, moves the ratio by half of that. A limit named 0.01 psi too low would make it 1.6, one 0.005 psi too
+    // high 2.6.
     let slope = |below: f64| {
         let found = section.solve((limits[0] - below) * PSI, Ends::FREE).unwrap();
         let k = found.tangent;

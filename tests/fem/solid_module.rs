@@ -204,8 +204,8 @@ fn rods_against_the_solid_of_the_same_fibres() {
 
 #[test]
 fn case_1_at_60_degrees_buckles_where_the_rods_say() {
-    // Line fibres on the same coarse divisions across the tube, for the rods' law and for the solid: it is the buckling that
-    // is compared. What the law of strips says of it is held to the section's in module_reference.
+    // Line fibres on the same coarse divisions across the tube, for the rods' law and for the solid: it is the buckling
+    // that is compared. What the law of strips says of it is held to the section's in module_reference.
     let mut scene = ModuleScene::reference(60f64.to_radians());
     scene.frees.iter_mut().for_each(|free| free.tube.fiber_width = 0.0);
     let module = rods_on(&scene, section::Mesh::Counted { radial: 1, strip: 1, gap: 1, growth: 1.0 });
@@ -213,8 +213,8 @@ fn case_1_at_60_degrees_buckles_where_the_rods_say() {
     let to = Loads::pressures([10.0 * PSI; 4]);
     let rods = Path::new(&module, &rest, &to, 0.05).unwrap().next_critical((-0.01, 0.9)).unwrap().unwrap();
     assert_eq!((rods.kind, rods.gained), (Kind::Bifurcation, 2));
-    // The ends, a hundredth of the length, move the buckling torque as much; the law's EI is told to 1.5 %: 2.5 % below the
-    // rods' pressure the solid stands, and as much above it leans, to any side.
+    // The ends, a hundredth of the length, move the buckling torque as much; the law's EI is told to 1.5 %: 2.5 % below
+    // the rods' pressure the solid stands, and as much above it leans, to any side.
     let tube = scene.frees[0].tube;
     let gammas = scene.frees.map(|free| free.tube.gamma);
     let mesh = Mesh { around: 2, first: 4e-3, most_turn: 1.2, ..Mesh::whole(&tube) };

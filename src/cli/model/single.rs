@@ -183,8 +183,8 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     if context.json { context.print_json(&report) } else { context.print(report.text(&scene)) }
 }
 
-/// Where the rubber folds at the strip's end on the way to the farthest pressure answered, which is one of the mesh, and
-/// what it would bear then; none where no mesh folds.
+/// Where the rubber folds at the strip's end on the way to the farthest pressure answered, which is one of the mesh,
+/// and what it would bear then; none where no mesh folds.
 fn fold(scene: &Scene, answer: &Answer) -> Result<Option<String>, Failure> {
     let reached = answer.points.iter().filter_map(|point| Some((point.pressure, point.rest?)));
     let Some((most, rest)) = reached.max_by(|a, b| a.0.abs().total_cmp(&b.0.abs())) else { return Ok(None) };

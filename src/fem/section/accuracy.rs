@@ -13,9 +13,9 @@
 //! element's size squared.
 //!
 //! **Folds.** A blocked tube's rubber folds at the strip's end, where the traction jumps. The pressure of that is one of
-//! the mesh ([`super::LimitKind::Folding`]): a finer one folds earlier, one that is blunt there not at all. So the answer
-//! is the branch that has not folded, on the finest mesh that has it, and its error the spread over the meshes that have
-//! it, too. That rubber which folds leaves this branch is not an error of the mesh, and is told apart:
+//! the mesh ([`super::LimitKind::Folding`]): a finer one folds earlier, one that is blunt there not at all. So the
+//! answer is the branch that has not folded, on the finest mesh that has it, and its error the spread over the meshes
+//! that have it, too. That rubber which folds leaves this branch is not an error of the mesh, and is told apart:
 //! [`Curve::folds_beyond`] says from where on a finer mesh, or one that is [sharp](Mesh::sharp) at the strip's end, has
 //! lost it, and [`folds`] what becomes of the tube then.
 
@@ -32,9 +32,9 @@ use crate::fem::tube::Tube;
 const FINEST: usize = 4;
 /// Estimate over the difference from the next level.
 const SAFETY: f64 = 2.0;
-/// Error below which level 1 is not believed to be, whatever the difference says: it may vanish by accident. Measured: of
-/// thirty seeded tubes at a moderate pressure level 1 leaves 0.02 % of free motion and 0.1 % of blocked load in the median,
-/// against level 4, and where this is the estimate, of 26 of them, it has held. A test keeps both.
+/// Error below which level 1 is not believed to be, whatever the difference says: it may vanish by accident. Measured:
+/// of thirty seeded tubes at a moderate pressure level 1 leaves 0.02 % of free motion and 0.1 % of blocked load in the
+/// median, against level 3, and where this is the estimate, of 26 of them, it has held. A test keeps both.
 const LEAST: f64 = 5e-4;
 
 /// A curve of equilibria and how far they are from converged ones.
@@ -45,9 +45,9 @@ pub struct Curve {
     /// Estimated relative error of the equilibria, as [`crate::fem::measure`] has it; none where no second mesh has any
     /// of them.
     pub error: Option<f64>,
-    /// Magnitude of the pressure (Pa) up to which a finer and a sharper mesh are known to have the equilibria, too, where
-    /// beyond it the rubber folds at the strip's end on some of the meshes ([`folds`]) and not on others. The equilibria,
-    /// and their error, are those of rubber that has not folded.
+    /// Magnitude of the pressure (Pa) up to which a finer and a sharper mesh are known to have the equilibria, too,
+    /// where beyond it the rubber folds at the strip's end on some of the meshes ([`folds`]) and not on others. The
+    /// equilibria, and their error, are those of rubber that has not folded.
     pub folds_beyond: Option<f64>,
     /// The mesh; equilibria beyond its own fold are those of [`Mesh::blunt`].
     pub mesh: Mesh,
@@ -68,8 +68,8 @@ impl Mesh {
         Mesh::Counted { radial, strip: 1, gap, growth: 4.0 }
     }
 
-    /// Level 1 of `tube` with two more rings, and two more columns on either side, at the strip's end, each a quarter of
-    /// the one before, as many elements as level 2 has. Where fibres are steep it folds at two thirds of level 2's
+    /// Level 1 of `tube` with two more rings, and two more columns on either side, at the strip's end, each a quarter
+    /// of the one before, as many elements as level 2 has. Where fibres are steep it folds at two thirds of level 2's
     /// pressure, and further rings and columns change that by a tenth.
     pub fn sharp(tube: &Tube) -> Mesh {
         let [radial, gap] = Mesh::counts(tube).map(|count| count + 2);
@@ -105,8 +105,8 @@ pub fn curve_within(tube: &Tube, pressures: &[f64], ends: Ends, tolerance: f64) 
         }
         blunt = Some(others);
     }
-    // A tube that is free to move bears too little under the strip: of 60 seeded ones none folds on the sharp mesh up to
-    // `mu wall / Ri`.
+    // A tube that is free to move bears too little under the strip: of 60 seeded ones none folds on the sharp mesh up
+    // to `mu wall / Ri`.
     let free_ends = matches!((ends.axial, ends.torsion), (End::Loaded(_), End::Loaded(_)));
     let sharp = if mesh_dependent || free_ends {
         f64::INFINITY
@@ -168,13 +168,14 @@ pub struct Fold {
     pub mesh: Mesh,
     /// Where its rubber folds; none where it does not.
     pub limit: Option<Limit>,
-    /// The equilibrium into which it then [snaps](Section::snapped) at the pressure asked for; none where an end is free to
-    /// move, too.
+    /// The equilibrium into which it then [snaps](Section::snapped) at the pressure asked for; none where an end is
+    /// free to move, too.
     pub folded: Option<Equilibrium>,
 }
 
-/// Where the rubber of `tube` folds on the way to `up_to`, Pa, and what becomes of it: on the blunt mesh, on levels 1 and
-/// 2, and on the sharp mesh. The pressures, and how much less the folded rubber bears, are properties of the meshes.
+/// Where the rubber of `tube` folds on the way to `up_to`, Pa, and what becomes of it: on the blunt mesh, on levels 1
+/// and 2, and on the sharp mesh. The pressures, and how much less the folded rubber bears, are properties of the
+/// meshes.
 pub fn folds(tube: &Tube, ends: Ends, up_to: f64) -> Result<[Fold; 4], SectionError> {
     let meshes = [Mesh::blunt(tube), Mesh::level(1), Mesh::level(2), Mesh::sharp(tube)];
     let held = matches!((ends.axial, ends.torsion), (End::Held(_), End::Held(_)));

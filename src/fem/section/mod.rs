@@ -48,18 +48,20 @@
 //! | 60 deg | 10.0 | 6.3 | 4.2 | 3.3 | 4.2 |
 //! | 80 deg | 11.6 | 6.3 | 3.8 | 2.8 | 3.9 |
 //!
-//! Up to 40 deg it converges; from 60 deg on it goes on falling as the elements at the strip's end do: there the traction
-//! turns the surface without bound, as the logarithm of the distance, and some ring of elements is always small enough to
-//! fold. Meshes without small elements there hold the rubber up: with one element through the wall it goes on to 10 psi
-//! at all of these angles, within 1 % of the reference, whose own mesh is as blunt (its fold at 60 deg is at 7.69 psi; at
-//! 30 deg its forces bend off between 8 and 9 psi, by half a per cent at 10).
+//! Up to 40 deg it converges; from 60 deg on it goes on falling as the elements at the strip's end do: there the jump of
+//! the traction turns the surface by the logarithm of the distance, without bound, and some ring of elements is always
+//! small enough to fold. Meshes without small elements there hold the rubber up: with one element through the wall it
+//! goes on to 10 psi at all of these angles, within 1 % of the reference. Of the reference's mesh its 2 306 unknowns are
+//! known, those of 6 x 24 elements a sector. Such meshes fold between 7.2 and 8.2 psi at 60 deg, over the grade of their
+//! elements (the reference: 7.69), and between 6.2 and 8.5 psi at 30 deg, where the reference goes on to 10: its forces
+//! bend off there between 8 and 9 psi, by half a per cent at 10.
 //!
-//! The path turns back at a fold in pressure and volume alike, so that no other control parameter carries on with it. The
-//! tube [snaps](Section::snapped) into another equilibrium. Next to the fold that bears 0.1 to 1 % less where fibres are
-//! steep and the mesh is fine (40 to 80 deg, level 4 and sharp; level 2: 1 to 5 %), 3 to 7 % less where they are not (20
-//! and 30 deg), and farther on, fold after fold, up to a fifth less at 10 psi, as seeded tubes do: by amounts of the mesh,
-//! and of rubber that may pass through itself. So [`curve_within`] answers with the branch that has not folded, says from
-//! where on other meshes have lost it, and [`folds`] has where, and what they bear then.
+//! The path turns back at a fold in pressure and volume alike, so that no other control parameter carries on with it.
+//! The tube [snaps](Section::snapped) into another equilibrium. Next to the fold that bears 0.1 to 1 % less where
+//! fibres are steep and the mesh is fine (40 to 80 deg, level 4 and sharp; level 2: 1 to 5 %), 3 to 7 % less where they
+//! are not (20 and 30 deg), and farther on, fold after fold, up to a fifth less at 10 psi, as seeded tubes do: by
+//! amounts of the mesh, and of rubber that may pass through itself. So [`curve_within`] answers with the branch that
+//! has not folded, says from where on other meshes have lost it, and [`folds`] has where, and what they bear then.
 
 mod accuracy;
 mod assembly;
@@ -226,8 +228,8 @@ impl Section {
         Ok(self.walk(pressures, ends, true)?.0)
     }
 
-    /// [`Section::curve`] with the fields of every equilibrium; without `search` the points beyond the end of a path are
-    /// [`SectionError::PathEnds`], which costs a tenth.
+    /// [`Section::curve`] with the fields of every equilibrium; without `search` the points beyond the end of a path
+    /// are [`SectionError::PathEnds`], which costs a tenth.
     fn walk(&self, pressures: &[f64], ends: Ends, search: bool) -> Result<(Points, Vec<Option<Fields>>), SectionError> {
         let mut state = self.rest()?;
         let mut limits: [Option<Limit>; 2] = [None, None];

@@ -17,8 +17,8 @@ use super::newton::{Condition, Solution, Workspace};
 use super::{Section, State};
 use crate::fem::ends::Equilibrium;
 
-/// Steps after which a minimum is given up. The folds of the reference tubes and of 60 seeded ones take 8 to 159; of the seeded
-/// 46, one is not found.
+/// Steps after which a minimum is given up. The folds of the reference tubes and of 60 seeded ones take 8 to 159; of
+/// the seeded 46, one is not found.
 const STEPS: usize = 600;
 /// Longest way of a node in one step, over Ro: a fraction of the elements at the strip.
 const LONGEST: f64 = 0.01;
@@ -27,8 +27,8 @@ const NEAR: f64 = 1e-4;
 const EVERY: usize = 10;
 
 impl Section {
-    /// The stable equilibrium into which the tube snaps when the pressure goes from that of `state` to `pressure`, Pa, at
-    /// once, its stretch and twist held. None where none is found.
+    /// The stable equilibrium into which the tube snaps when the pressure goes from that of `state` to `pressure`, Pa,
+    /// at once, its stretch and twist held. None where none is found.
     pub fn snapped(&self, state: &State, pressure: f64) -> Option<Equilibrium> {
         let goal = pressure / self.tube.law.shear_modulus();
         Some(self.outcome(&self.fall(&state.solution, goal)?))
