@@ -9,7 +9,14 @@ use std::process::Command;
 /// A picture: its file, its title, the command that draws it, the page where it then stands, and the caption there.
 type Picture = (&'static str, &'static str, &'static [&'static str], &'static str, &'static str);
 
-const PICTURES: [Picture; 3] = [
+const PICTURES: [Picture; 4] = [
+    (
+        "trajectory.svg",
+        "The paper's trajectory on the simulated rig, before anything has been measured",
+        &["trajectory", "--stepped"],
+        "report.html",
+        "Response",
+    ),
     (
         "ringdown.svg",
         "Plucks of the simulated FREE and what is fitted to them",

@@ -1,7 +1,8 @@
 //! `freerig demo`: the whole job on the simulated rig, in this process.
 //!
-//! Stiffness and hysteresis of the simulated FREE first; then one trajectory in real time, with the threads, drivers and files of the daemon; then step and trajectory on the
-//! stepped clock, with the gains that the paper's authors published and with freerig's own; a module's whisk with a knob that is turned at the end.
+//! Stiffness and hysteresis of the simulated FREE first; then one trajectory in real time, with the threads, drivers and
+//! files of the daemon; then step and trajectory on the stepped clock, with the gains that the paper's authors published
+//! and with freerig's own; a module's whisk with a knob that is turned at the end.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -36,9 +37,18 @@ const LATE: [FaultCode; 4] = [FaultCode::Deadline, FaultCode::PressureStale, Fau
 /// How often arming is tried on a machine that is busy.
 const ATTEMPTS: u32 = 5;
 
+const EXAMPLES: &str = "\
+Measures the simulated FREE, runs the paper's trajectory in real time, compares the published gains with freerig's own, \
+and lets a module whisk while a fifth FREE turns a knob. It writes into the folder of the runs and leaves the \
+calibration as it is; open the report that it names last in a browser.
+
+Examples:
+  freerig demo
+  freerig demo --json";
+
 /// What `freerig demo` takes.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:\n  freerig demo\n  freerig demo --json")]
+#[command(after_help = EXAMPLES)]
 pub struct Args {}
 
 /// What came of it.
@@ -147,9 +157,11 @@ fn calibrate(rig: &mut Rig, context: &Context) -> Result<Calibrated, Failure> {
     }
     let seconds = begun.elapsed().as_secs_f64();
     for value in &finding.values {
-        let before = value.before.map_or("nothing".into(), |before| format!("{before:.4}"));
+        let before = value.before.map_or("the calibration does not say it".into(), |before| {
+            format!("not {before:.4} as the calibration says")
+        });
         context.note(format!(
-            "   {} {:.4} +- {:.4}, not {before} as the calibration says; in {seconds:.1} s",
+            "   {} {:.4} +- {:.4}, {before}; in {seconds:.1} s",
             value.key, value.value, value.standard_uncertainty
         ));
     }

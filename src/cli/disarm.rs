@@ -4,7 +4,7 @@ use super::{Context, Failure, control};
 
 /// What `freerig disarm` takes.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Ends an experiment that is running. Examples:\n  freerig disarm")]
+#[command(after_help = "Ends an experiment that is running.\n\nExamples:\n  freerig disarm")]
 pub struct Args {}
 
 /// Disarms the rig.

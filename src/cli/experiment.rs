@@ -19,9 +19,19 @@ machine can, the same bits for the same seed.
 
 Examples:
   freerig step                                       the paper's steps: 50, 20, 80 deg
-  freerig trajectory experiments/sinusoid.toml --repeat 5 --note \"after gluing\"
-  freerig step --angles 30deg,-10deg --hold 4s --gains paper-pi
+  freerig step --angles 30deg,-10deg --hold 4s
+  freerig trajectory experiments/paper-trajectory.toml --repeat 5 --note \"after gluing\"
+  freerig trajectory --stepped                       at once, on the simulated rig
   freerig sweep --pressures 0psi,2psi,4psi --stepped --seed 7";
+
+const WHISK_EXAMPLES: &str = "\
+`freerig plan whisk` writes the plan. The rig must be armed (`freerig arm`). With --stepped no daemon is needed: the \
+simulated rig runs here, as fast as the machine can, the same bits for the same seed.
+
+Examples:
+  freerig --rig experiments/module/rig.toml plan whisk --output whisk.toml
+  freerig --rig experiments/module/rig.toml whisk whisk.toml --stepped
+  freerig --rig experiments/module/rig.toml whisk whisk.toml --stepped --open-loop";
 
 /// What an experiment takes.
 #[derive(Debug, clap::Args)]
@@ -57,6 +67,7 @@ pub struct Args {
 
 /// What a whisk takes.
 #[derive(Debug, clap::Args)]
+#[command(after_help = WHISK_EXAMPLES, mut_args(of_a_whisk))]
 pub struct WhiskArgs {
     #[command(flatten)]
     pub plan: Args,
@@ -64,6 +75,15 @@ pub struct WhiskArgs {
     /// the plate an IMU
     #[arg(long)]
     pub open_loop: bool,
+}
+
+/// In the help of a whisk: its file is a plan, and the flags of a course are not for it.
+fn of_a_whisk(arg: clap::Arg) -> clap::Arg {
+    match arg.get_id().as_str() {
+        "file" => arg.help("The plan, as `freerig plan whisk` writes it"),
+        "angles" | "pressures" | "moving" | "hold" | "shape" | "gains" => arg.hide(true),
+        _ => arg,
+    }
 }
 
 /// A course of values in place of a file.

@@ -8,8 +8,8 @@ use super::{Context, Failure, runs};
 use crate::record::{Format, TIME_BASE, export};
 
 const EXAMPLES: &str = "\
-Every record of the loop is a row. Units are in the columns' names; `t_s` counts from the run's first record,
-`program_time_s` from the start of the program (NaN while none runs), `time_ns` is the machine's monotonic clock.
+Every record of the loop is a row. Units are in the columns' names; `t_s` counts from the run's first record, \
+`program_time_s` from the start of the program (NaN while none runs), `time_ns` is the machine's monotonic clock. \
 States, faults and limits are written in words.
 
 Examples:

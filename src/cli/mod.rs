@@ -76,15 +76,30 @@ Controller of a soft-robotics bench: drives FREEs (fiber-reinforced elastomeric 
 real-time thread, identifies and models them, and records every experiment.
 
 The rig is described by rig.toml; with `backend = \"sim\"`, the default, everything runs on simulated devices behind \
-the real drivers, and says SIMULATED.
+the real drivers, and says SIMULATED.";
 
-Quantities carry their unit: `7psi`, `-40deg`, `130mm`, `10ms`.";
+/// The commands as the help groups them.
+const GROUPS: [(&str, &[&str]); 6] = [
+    ("Start here", &["demo", "config", "doctor"]),
+    ("The rig and its daemon", &["run", "status", "arm", "set", "disarm", "estop", "clear", "vent"]),
+    (
+        "Experiments, on the armed rig, or without a daemon with --stepped",
+        &["step", "trajectory", "sweep", "whisk", "calibrate"],
+    ),
+    ("What has been recorded", &["runs", "report", "compare", "export"]),
+    ("Models, plans and gains, without a rig", &["model", "plan", "simulate", "tune"]),
+    ("What this machine and freerig are worth", &["latency", "bench"]),
+];
 
 const EXAMPLES: &str = "\
-Examples:
-  freerig demo                              the whole job on the simulated rig, no daemon needed
-  freerig config check                      every problem of rig.toml and the calibration files at once
-  freerig run                               the daemon, in the foreground
+The first hour, without any hardware:
+  freerig demo                              ends with the path of its report
+  freerig step --angles 30deg,-10deg --stepped
+  freerig run                               the daemon: leave it there, and in another terminal
+  freerig arm && freerig trajectory && freerig disarm
+  freerig report latest
+
+`freerig COMMAND --help` has the examples of a command. Quantities carry their unit: `7psi`, `-40deg`, `130mm`, `10ms`.
 
 Exit status: 0 done, 1 failed, 2 bad usage or configuration, 3 a fault of the rig.";
 
@@ -98,14 +113,14 @@ struct Cli {
     command: Command,
 }
 
-/// Every command, in the order of the help.
+/// Every command; the help has them by [`GROUPS`].
 #[derive(Debug, Subcommand)]
 enum Command {
     /// The whole job on the simulated rig, no daemon needed
     Demo(demo::Args),
     /// The daemon, in the foreground
     Run(run::Args),
-    /// Where the rig stands
+    /// Where the rig stands; --watch follows it
     Status(status::Args),
     /// Self-test, vent check, tare; the pressures may then be anything within the limits
     Arm(arm::Args),
@@ -117,7 +132,7 @@ enum Command {
     Clear(clear::Args),
     /// Without a daemon: command zero on every path and verify
     Vent(vent::Args),
-    /// Set one pressure or angle by hand
+    /// One pressure, angle or knob's temperature by hand, within the limits
     Set(set::Args),
     /// Steps of the angle; by default the paper's: 50, 20, 80 deg
     Step(experiment::Args),
@@ -137,8 +152,7 @@ enum Command {
     Report(report::Args),
     /// Run the lumped model of a FREE, alone or in a loop with its controller
     Simulate(simulate::Args),
-    /// What geometry and material alone say of a FREE or of a module of four, by the model asked for or the cheapest
-    /// that is good enough
+    /// What geometry and material alone say of a FREE, or of a module of four
     Model(model::Args),
     /// What to command, what can be reached, and what to build
     Plan(plan::Args),
@@ -193,10 +207,10 @@ impl Command {
 #[derive(Clone, Debug, clap::Args)]
 pub struct Context {
     /// The rig's description
-    #[arg(long, global = true, value_name = "FILE", default_value = "rig.toml")]
+    #[arg(long, global = true, value_name = "FILE", default_value = "rig.toml", display_order = 900)]
     pub rig: PathBuf,
     /// Print one JSON object (SI units, units in the key names) instead of text
-    #[arg(long, global = true)]
+    #[arg(long, global = true, display_order = 901)]
     pub json: bool,
 }
 
@@ -241,9 +255,23 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// The clap command, with the rule that a quantity may begin with a minus sign applied throughout.
+/// The clap command, its commands grouped in the help, with the rule that a quantity may begin with a minus sign applied
+/// throughout.
 pub fn command() -> clap::Command {
-    signed_quantities(Cli::command())
+    grouped(signed_quantities(Cli::command()))
+}
+
+/// With the commands of [`GROUPS`] in place of clap's one list.
+fn grouped(command: clap::Command) -> clap::Command {
+    let mut help = String::from("{about-with-newline}\n{usage-heading} {usage}\n");
+    for (heading, names) in GROUPS {
+        help += &format!("\n{heading}:\n");
+        for name in names {
+            let about = command.find_subcommand(name).and_then(clap::Command::get_about);
+            help += &format!("  {name:<12}{}\n", about.map(ToString::to_string).unwrap_or_default());
+        }
+    }
+    command.help_template(help + "\nOptions:\n{options}{after-help}")
 }
 
 fn signed_quantities(command: clap::Command) -> clap::Command {
@@ -282,5 +310,15 @@ mod tests {
     #[test]
     fn the_command_line_is_well_formed() {
         command().debug_assert();
+    }
+
+    #[test]
+    fn the_help_has_every_command_in_one_group() {
+        let mut grouped: Vec<_> = GROUPS.iter().flat_map(|(_, names)| names.iter().copied()).collect();
+        let command = command();
+        let mut all: Vec<_> = command.get_subcommands().map(clap::Command::get_name).collect();
+        grouped.sort_unstable();
+        all.sort_unstable();
+        assert_eq!(grouped, all);
     }
 }

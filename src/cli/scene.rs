@@ -136,7 +136,7 @@ pub fn build(scene: &ModuleScene, highest: f64, context: &Context) -> Result<Bui
     let range = (highest / PASCAL_PER_PSI - 1e-9).ceil().max(RANGE);
     let gamma = scene.frees[0].tube.gamma.abs().to_degrees();
     context.note(format!(
-        "law of the FREE of {gamma:.1} deg up to {range:.0} psi: kept from an earlier time, or tabulated now, which takes a while"
+        "law of the FREE of {gamma:.1} deg up to {range:.0} psi: kept from an earlier time, or tabulated now, which takes seconds"
     ));
     let cache = Cache::usual();
     let mut law_errors = Errors::default();

@@ -17,7 +17,7 @@ use crate::record::locus_sheet;
 use crate::units::Angle;
 
 const EXAMPLES: &str = "\
-The gains are for the controller that rig.toml gives the FREE: with `controller = \"model\"` the feedback around the
+The gains are for the controller that rig.toml gives the FREE: with `controller = \"model\"` the feedback around the \
 model, else the PID alone.
 
 Examples:

@@ -105,12 +105,15 @@ struct Freshness {
 }
 
 impl Freshness {
-    /// Takes note of a tick; true if a new reading arrived.
+    /// Takes note of a tick; true if a new reading arrived. The same reading may turn out to be worth less than was
+    /// thought: it is as old as the oldest thing that is known of it.
     fn see(&mut self, sequence: u32, time: Time, alive: bool, now: Time, stall: f64) -> bool {
         self.stalled = (self.stalled + stall).min(STALL_MAX);
         let fresh = alive && (self.taken.is_none() || sequence != self.sequence);
         if fresh {
             *self = Self { sequence, taken: Some(time.min(now)), stalled: 0.0 };
+        } else if alive {
+            self.taken = self.taken.map(|taken| taken.min(time));
         }
         fresh
     }

@@ -113,7 +113,9 @@ impl DaemonError {
                  first: then nothing says what it holds for."
                     .into()
             }
-            DaemonError::Timeout { .. } => "`freerig status` says what the rig waits for.".into(),
+            DaemonError::Timeout { .. } => "`freerig status` says what the rig waits for, without a daemon `freerig doctor`. A \
+                 simulated rig of another seed has another IMU, which a saved profile does not fit."
+                .into(),
             DaemonError::Interrupted(_) => "`freerig status` shows where the rig stands.".into(),
             DaemonError::NotVented(_) => fault::row(FaultCode::VentFailed).remedy.into(),
             DaemonError::Owned(_) => {

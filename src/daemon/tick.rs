@@ -101,7 +101,7 @@ impl Tick {
         }
         for ((sample, slot), patience) in input.pressure.iter_mut().zip(&mut self.sensor).zip(self.patience) {
             if let Some(slot) = slot {
-                *sample = sample.measured_by(*slot.read(), patience);
+                *sample = sample.measured_by(*slot.read(), patience, timing.deadline);
             }
         }
         input

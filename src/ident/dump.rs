@@ -112,10 +112,12 @@ pub enum DumpError {
         until: f64,
     },
     /// The FREE hardly turned.
-    #[error("the FREE turned by {0} rad only; at least {TURN_MIN} rad are needed: dump from a higher pressure")]
+    #[error("the FREE turned by {0:.4} rad only; at least {TURN_MIN} rad are needed: dump from a higher pressure")]
     NoExcitation(f64),
     /// The motion says nothing about the damping.
-    #[error("ct is {damping} +- {uncertainty} N m s/rad: not resolved; sample faster than the motion, or longer")]
+    #[error(
+        "ct is {damping:.3e} +- {uncertainty:.1e} N m s/rad: not resolved; sample faster than the motion, or longer"
+    )]
     Unresolved {
         /// Best value, N m s/rad.
         damping: f64,

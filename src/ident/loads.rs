@@ -89,11 +89,11 @@ pub enum LoadError {
     #[error("the loads do not tell stiffness, hysteresis and pressure apart: more loads at every pressure")]
     Together,
     /// Loads that shorten.
-    #[error("the stiffness that fits best is {0}: the readings go against the loads; are they in their order?")]
+    #[error("the stiffness that fits best is {0:.3e}: the readings go against the loads; are they in their order?")]
     NotPositive(f64),
     /// Drowned in the readings' errors.
     #[error(
-        "the stiffness is {stiffness} +- {uncertainty}, known to no more than {UNCERTAINTY_MAX} of it: larger loads"
+        "the stiffness is {stiffness:.3e} +- {uncertainty:.1e}, known to no more than {UNCERTAINTY_MAX} of it: larger loads"
     )]
     Unresolved {
         /// What came out.

@@ -101,16 +101,16 @@ pub enum SweepError {
     #[error("point {0} of the sweep is not finite")]
     NotFinite(usize),
     /// The FREE hardly turned.
-    #[error("the FREE turned by {0} rad only; at least {RANGE_MIN} rad are needed: sweep to a higher pressure")]
+    #[error("the FREE turned by {0:.4} rad only; at least {RANGE_MIN} rad are needed: sweep to a higher pressure")]
     NoExcitation(f64),
     /// It turned against the direction of its winding angle.
-    #[error("the FREE turned by {0} rad, against its winding angle: it is of the other hand, or its IMU's axis is")]
+    #[error("the FREE turned by {0:.4} rad, against its winding angle: it is of the other hand, or its IMU's axis is")]
     OtherHand(f64),
     /// Only one way.
     #[error("the sweep never comes back: without a way down the hysteresis cannot be told from the stiffness")]
     OneWay,
     /// The stiffness that fits best is not positive.
-    #[error("the stiffness that fits best is {0} N m/rad: wrong winding angle, sign or radius?")]
+    #[error("the stiffness that fits best is {0:.3e} N m/rad: wrong winding angle, sign or radius?")]
     NotPositive(f64),
     /// The model has no such FREE.
     #[error(transparent)]

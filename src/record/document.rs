@@ -196,7 +196,7 @@ impl StartDocument {
         }
         let FreeDocument { preset, gains: g, model_leads, .. } = &self.frees[index];
         let (p, i, d) = (g.proportional_pa_per_rad, g.integral_pa_per_rad_s, g.derivative_pa_s_per_rad);
-        let gains = if preset.is_empty() { format!("Kp {p}, Ki {i}, Kd {d}") } else { preset.clone() };
+        let gains = if preset.is_empty() { format!("Kp {p:.0}, Ki {i:.0}, Kd {d:.0}") } else { preset.clone() };
         if *model_leads { format!("model, {gains}") } else { gains }
     }
 }

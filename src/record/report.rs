@@ -143,7 +143,11 @@ fn free_section(
     if let Some(table) = &signals.temperatures {
         page.figure("What the knob sets", &marked(figures::temperature(signals, table))?);
     }
-    page.figure("Error", &marked(figures::error(signals, model))?);
+    // Pressures that were commanded, without a model to compare with, have none.
+    let error = figures::error(signals, model);
+    if !error.lines.is_empty() {
+        page.figure("Error", &marked(error)?);
+    }
     page.figure("Pressure", &marked(figures::pressure(signals))?);
     if signals.quantity == Quantity::Angle {
         page.figure("Controller's terms", &marked(figures::terms(signals))?);
@@ -333,7 +337,7 @@ fn provenance(page: &mut Page, run: &Run) {
         page.fact(
             &format!("gains of {}", free.name),
             &format!(
-                "Kp {} Pa/rad, Ki {} Pa/(rad s), Kd {} Pa s/rad{preset}",
+                "Kp {:.0} Pa/rad, Ki {:.0} Pa/(rad s), Kd {:.0} Pa s/rad{preset}",
                 g.proportional_pa_per_rad, g.integral_pa_per_rad_s, g.derivative_pa_s_per_rad
             ),
         );

@@ -116,16 +116,16 @@ pub struct PressureSample {
 
 impl PressureSample {
     /// What is known of a FREE whose regulator (`self`) measures nothing and whose pressure `sensor` measures: the
-    /// sensor's reading, with the regulator's set-point and what either reports. It is lost where either is, and once the
-    /// regulator has been silent for `patience` it is as old as that silence: what presses must be heard of.
-    pub fn measured_by(self, sensor: Self, patience: Duration) -> Self {
+    /// sensor's reading, with the regulator's set-point and what either reports. It is lost where either is, and once, at
+    /// `now`, the regulator has been silent for `patience`, it is as old as that silence: what presses must be heard of.
+    pub fn measured_by(self, sensor: Self, patience: Duration, now: Time) -> Self {
         use RegulatorHealth::{Absent, Lost};
         let health = match (self.health, sensor.health) {
             (Lost, _) | (_, Lost) => Lost,
             (Absent, _) => Absent,
             (_, health) => health,
         };
-        let time = if sensor.time.since(self.time) > patience { self.time } else { sensor.time };
+        let time = if now.since(self.time) > patience { self.time.min(sensor.time) } else { sensor.time };
         Self { time, setpoint: self.setpoint, status: self.status.with(sensor.status), health, ..sensor }
     }
 }

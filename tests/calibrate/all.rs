@@ -102,4 +102,11 @@ fn the_regulators_lag_and_dead_time_are_measured_through_line_and_device() {
     assert!((of("dead_time_ms") - 15.0).abs() < 1.0, "{found}");
     let page = fs::read_to_string(folder.path().join(found["report"].as_str().unwrap())).unwrap();
     assert!(page.contains("SIMULATED") && page.contains("span"));
+
+    // The simulated regulator fills by 30 psi/s at most. Where no step up shows that, a slower fall is not put in its
+    // place: the interlocks grow a stale pressure by it.
+    freerig(folder.path(), &["calibrate", "regulator", "--stepped", "--json"]);
+    let known: toml::Table = fs::read_to_string(&file).unwrap().parse().unwrap();
+    let fill = known["regulator"]["fastest_fill_psi_per_s"]["value"].as_float().unwrap();
+    assert!((fill - 30.0).abs() < 1.0, "{fill}");
 }

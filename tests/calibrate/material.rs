@@ -228,7 +228,7 @@ fn tests_that_do_not_carry_a_value_are_refused_by_name() {
         .take(25)
         .fold(String::new(), |text, line| text + line + "\n");
     fs::write(folder.path().join("tube.csv"), short).unwrap();
-    refused(&calibrate(folder.path()), 1, &["tube.csv", "specimen 1", "an exponent needs 0.2", "test again"]);
+    refused(&calibrate(folder.path()), 1, &["tube.csv", "specimen 2", "an exponent needs 0.2", "test again"]);
     fs::write(folder.path().join("tests.toml"), "ready = []\n").unwrap();
     refused(&calibrate(folder.path()), 2, &["tests.toml", "[material]"]);
 }

@@ -65,7 +65,7 @@ fn the_section_answers_under_the_contracts_keys_and_names_the_limit() {
 }
 
 #[test]
-fn a_fold_of_some_meshes_is_told_and_covered_by_the_error() {
+fn a_fold_of_some_meshes_is_told() {
     let folder = place();
     let free = [&["model", "single", "--gamma", "60deg"], &FREE[2..], &["--ends", "blocked"]].concat();
     let at = |pressure: &str, more: &[&str]| {
@@ -73,21 +73,34 @@ fn a_fold_of_some_meshes_is_told_and_covered_by_the_error() {
         freerig(folder.path(), &[&free[..], &flags, more].concat())
     };
     // Level 2 of the reference FREE folds at 6.3 to 6.4 psi, level 1 at 10 psi and a blunt mesh not before: 7 psi is
-    // answered, and with what a fold may take as its least error.
+    // answered, by rubber that has not folded, as the reference's has not (section.csv, exact to 3e-4).
     let answer = json(&at("4psi,7psi", &["--json"]));
-    assert!(answer["points"][1]["converged"] == true && answer["limit_pressure_pa"].is_null(), "{answer}");
-    assert!(answer["discretisation_error_estimate"].as_f64().unwrap() >= 0.01, "{answer}");
-    let output = at("4psi,7psi", &[]);
-    let text = String::from_utf8_lossy(&output.stdout);
-    let note =
-        text.lines().find(|line| line.starts_with("note: beyond 4.00 psi the rubber folds")).unwrap_or_else(|| {
-            panic!("{text}");
-        });
-    for words in ["not up to 7.00 psi on the blunt one", "at 6.3", "on the fine mesh", "a property of the mesh"] {
-        assert!(note.contains(words), "{words}: {note}");
+    let point = &answer["points"][1];
+    assert!(point["converged"] == true && answer["limit_pressure_pa"].is_null(), "{answer}");
+    let (radius, force, moment) = (5.56e-3, 1.3039407, -24.76585e-3);
+    let off =
+        (point["force_n"].as_f64().unwrap() - force).hypot((point["moment_nm"].as_f64().unwrap() - moment) / radius);
+    let load = f64::hypot(force, moment / radius);
+    let told = answer["discretisation_error_estimate"].as_f64().unwrap();
+    assert!(off < (told + 3e-4) * load && told < 0.02, "{off} of {load}: {answer}");
+    // What folds, where, and what is lost with it.
+    let note = |pressure: &str| {
+        let text = String::from_utf8_lossy(&at(pressure, &[]).stdout).into_owned();
+        let note = text.lines().find(|line| line.starts_with("note: the rubber folds")).map(String::from);
+        (note, text)
+    };
+    let (Some(found), _) = note("4psi,7psi") else { panic!("a note") };
+    for words in
+        ["not up to 7.00 psi on the blunt one", "at 6.3", "on the fine one", "at 4.2", "a property of the mesh"]
+    {
+        assert!(found.contains(words), "{words}: {found}");
     }
-    // Below it there is nothing to say.
-    assert!(!String::from_utf8_lossy(&at("2psi,4psi", &[]).stdout).contains("folds"));
+    assert!(found.contains("% (fine)") && found.contains("% (sharp)"), "{found}");
+    // At 5 psi the sharp mesh alone has folded; below it there is nothing to say.
+    let (Some(found), _) = note("3psi,5psi") else { panic!("a note") };
+    assert!(found.contains("not up to 5.00 psi on the fine one") && found.contains("at 4.2"), "{found}");
+    let (none, text) = note("2psi,4psi");
+    assert_eq!(none, None, "{text}");
 }
 
 #[test]

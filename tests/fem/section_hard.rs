@@ -103,20 +103,56 @@ fn folding_at_the_strips_end_is_named_and_depends_on_the_mesh() {
         assert_eq!(limit.kind, LimitKind::Folding);
         limit.pressure / PSI
     };
-    let levels = [1, 2].map(|level| fold(Mesh::level(level)));
-    // The reference's fold, 7.69 psi, belongs to its mesh: one with three elements in half of the strip has it there.
-    let three = fold(Mesh::Counted { radial: 3, strip: 3, gap: 6, growth: 2.0 });
-    assert!((three / 7.6922165 - 1.0).abs() < 0.05, "{three}");
-    // Every further ring and column of a quarter of the size at the strip's end, 5, 1.2 and 0.3 um here.
-    let sharp = [3, 4, 5].map(|n| fold(Mesh::Counted { radial: n + 1, strip: n, gap: n + 2, growth: 4.0 }));
-    println!(
-        "folds at {levels:.2?} psi on levels 1 and 2, {three:.2} at the reference's resolution, {sharp:.2?} sharp"
-    );
-    // Blunt elements hold the rubber up; from 5 um on the pressure falls no farther, but scatters by a tenth with the
-    // mesh.
-    assert!(levels[0] > three && three > levels[1], "{levels:?}");
-    let (low, high) = sharp.iter().fold((f64::INFINITY, 0.0_f64), |(low, high), p| (low.min(*p), high.max(*p)));
-    assert!(high < 0.7 * levels[1] && high < 1.15 * low, "{sharp:?}");
+    // The reference's fold, 7.69 psi, belongs to its mesh. That has 2 306 unknowns, which are those of 6 x 24 elements
+    // a sector; how they are graded is not recorded. Of grades between 1.1 and 1.2 the middle one is within 5 % of it,
+    // and the others lie on either side: a tenth of the grade moves the fold by as much as a tenth.
+    let [more, like, less] =
+        [1.1, 1.15, 1.2].map(|growth| fold(Mesh::Counted { radial: 6, strip: 6, gap: 6, growth }) / 7.6922165);
+    println!("folds of 6 x 24 elements over the reference's: {more:.3}, {like:.3}, {less:.3}");
+    assert!((like - 1.0).abs() < 0.05 && more > 1.0 && less < 1.0 && more - less < 0.2, "{more} {like} {less}");
+    // Blunt elements hold the rubber up, and every division of them lets it fold earlier, without an end.
+    let levels = [1, 2, 4].map(|level| fold(Mesh::level(level)));
+    println!("folds at {levels:.2?} psi on levels 1, 2 and 4");
+    assert!(levels[1] < 0.8 * levels[0] && levels[2] < 0.8 * levels[1], "{levels:?}");
+}
+
+#[test]
+fn the_fold_of_flat_windings_converges() {
+    let tube = Tube::reference(30f64.to_radians());
+    let fold = |level: usize| {
+        let section = Section::new(&tube, Mesh::level(level)).unwrap();
+        let limit = section.limit_pressure(Ends::BLOCKED, 12.0 * PSI).unwrap().unwrap();
+        assert_eq!(limit.kind, LimitKind::Folding);
+        limit.pressure / PSI
+    };
+    let [coarse, fine] = [1, 4].map(fold);
+    // Elements a fourth as large take more than half of it at 60 deg; here not a tenth.
+    println!("folds at {coarse:.3} and {fine:.3} psi");
+    assert!((fine / coarse - 1.0).abs() < 0.1, "{coarse} {fine}");
+}
+
+#[test]
+fn rubber_that_folds_snaps_into_a_stable_state_that_bears_less() {
+    // 30 deg at 9 psi, where level 2 has folded at 7.9: the reference's mesh has not.
+    let tube = Tube::reference(30f64.to_radians());
+    let section = Section::new(&tube, Mesh::level(2)).unwrap();
+    let mut state = section.rest().unwrap();
+    let refused = section.advance(&mut state, 9.0 * PSI, Ends::BLOCKED).unwrap_err();
+    assert!(matches!(refused, SectionError::BeyondLimit { limit, .. } if limit.kind == LimitKind::Folding));
+    let folded = section.snapped(&state, 9.0 * PSI).unwrap();
+    let share = folded.force / -18.188642;
+    println!("folded, it bears {share:.3} of the reference's force");
+    // It gives way, by more than the 1 % that is left of the mesh; the fold is next to the strips, and the most of the
+    // wall has no part in it.
+    assert!((0.8..0.99).contains(&share), "{share}");
+    assert_eq!((folded.stretch, folded.twist), (1.0, 0.0));
+    assert!((folded.pressure / PSI - 9.0).abs() < 1e-12);
+    // Below the fold there is nothing to snap into but the equilibrium itself.
+    let mut state = section.rest().unwrap();
+    section.advance(&mut state, 4.0 * PSI, Ends::BLOCKED).unwrap();
+    let (snapped, advanced) =
+        (section.snapped(&state, 5.0 * PSI).unwrap(), section.solve(5.0 * PSI, Ends::BLOCKED).unwrap());
+    assert!((snapped.force / advanced.force - 1.0).abs() < 1e-7, "{snapped:?} {advanced:?}");
 }
 
 #[test]
@@ -157,8 +193,8 @@ fn beyond_a_limit_every_way_there_is_refused_alike() {
     // Next to a maximum of the pressure, limit - P = c (twist - twist at the limit)^2: the twist's slope over the
     // pressure grows with one over the root of the distance, twice from 0.04 to 0.01 psi. The next term is smaller by
     // that root over the scale of the whole path, sqrt(0.04 / 8.24) = 7 %; the limit's own 4e-5, 3 % of the shorter
-    // distance, moves the ratio by half of that. A limit named 0.01 psi too low would make it 1.6, one 0.005 psi too high
-    // 2.6.
+    // distance, moves the ratio by half of that. A limit named 0.01 psi too low would make it 1.6, one 0.005 psi too
+    // high 2.6.
     let slope = |below: f64| {
         let found = section.solve((limits[0] - below) * PSI, Ends::FREE).unwrap();
         let k = found.tangent;

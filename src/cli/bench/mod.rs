@@ -30,9 +30,9 @@ use crate::config::Rig;
 use crate::record::{BenchReport, BenchRow, BenchSuite};
 
 const EXAMPLES: &str = "\
-Without a suite all of them run, within some minutes on two cores, and bench.html and bench.md put them together. The random
-numbers are always the same: but for the times, so are the answers. Table on stdout, bench-SUITE.csv, .svg and .html in the
-runs' folder. Peers (CalculiX, Exudyn, scipy, python-control, cyclictest) run beside freerig where they are installed.
+Without a suite all of them run, and bench.html and bench.md put them together. The random numbers are always the same: but \
+for the times, so are the answers. Table on stdout, bench-SUITE.csv, .svg and .html in the runs' folder. Peers \
+(CalculiX, Exudyn, scipy, python-control, cyclictest) run beside freerig where they are installed.
 
 Examples:
   freerig bench

@@ -6,7 +6,7 @@
 use anyhow::Context as _;
 use serde::Serialize;
 
-use super::{How, attend, damping, imu, prepare, regulator, stiffness, value_table};
+use super::{How, attend, damping, imu, prepare, regulator, significant, stiffness, value_table};
 use crate::cli::{Context, Failure, tune};
 use crate::config::Rig;
 use crate::daemon::calibration::{Finding, FoundValue};
@@ -102,7 +102,9 @@ fn steps(how: &How, rig: &mut Rig, index: usize, done: &mut Vec<Done>, context: 
 
 impl Answer {
     fn sheet(&self, rig: &Rig) -> Sheet {
-        let value = |v: &FoundValue| (v.key.to_owned(), format!("{:.5e} +- {:.1e}", v.value, v.standard_uncertainty));
+        let value = |v: &FoundValue| {
+            (v.key.to_owned(), format!("{} +- {}", significant(v.value), significant(v.standard_uncertainty)))
+        };
         let mut facts: Vec<_> = self.steps.iter().flat_map(|step| step.values.iter().map(value)).collect();
         facts.push(("gains".into(), format!("{}: {}", self.gains.name, self.gains.text())));
         // The page lies beside the runs.

@@ -29,14 +29,14 @@ use crate::daemon::validity;
 use crate::record::Run;
 
 const EXAMPLES: &str = "\
-The rig must be armed (`freerig arm`); Ctrl-C takes the pressures down and leaves the old calibration as it was. With
---stepped no daemon is needed: the simulated rig runs here.
+The rig must be armed (`freerig arm`); Ctrl-C takes the pressures down and leaves the old calibration as it was. With \
+--stepped no daemon is needed: the simulated rig runs here. Of a real FREE every step asks whether all is mounted; a script \
+answers in a person's place: a file with the line `ready = [\"imu\", \"regulator\", \"stiffness\", \"damping\"]`.
 
 Examples:
   freerig calibrate stiffness --free paper
   freerig calibrate all --free paper
-  freerig calibrate stiffness --free paper --script answers.toml
-  freerig calibrate stiffness --free paper --stepped --seed 7
+  freerig calibrate all --free paper --script answers.toml --stepped
   freerig calibrate material --free paper --script tests.toml";
 
 /// What `freerig calibrate` takes.

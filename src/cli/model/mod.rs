@@ -5,8 +5,17 @@ mod single;
 
 use super::{Context, Failure};
 
+const EXAMPLES: &str = "\
+Computed from rig.toml and the calibration files, or from what the flags say: no daemon, nothing moves.
+
+Examples:
+  freerig model single --pressure 1psi,2psi
+  freerig model single --gamma 60deg --ends blocked --pressure 2psi
+  freerig model module --gamma 60deg --pressures 5psi,0psi,0psi,0psi --fidelity rod";
+
 /// What `freerig model` takes.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub struct Args {
     #[command(subcommand)]
     what: What,

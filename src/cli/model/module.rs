@@ -19,15 +19,15 @@ use crate::plan::turn_and_tilt;
 use crate::units::{PASCAL_PER_PSI, Percent, Pressure};
 
 const EXAMPLES: &str = "\
-A stands at (+, +) of the square, B, C, D follow counter-clockwise about z, which runs from the bases to the plate. What a
-FREE does to the plate is told about its own tip, in the fixed frame. Past a limit the values are missing and the limit is
-named: that is an answer, not a failure.
+A stands at (+, +) of the square, B, C, D follow counter-clockwise about z, which runs from the bases to the plate. \
+What a FREE does to the plate is told about its own tip, in the fixed frame. Past a limit the values are missing and \
+the limit is named: that is an answer, not a failure.
 
-A table of rows has the columns a_psi, b_psi, c_psi, d_psi, or in another unit of pressure (a_pa, a_kpa, a_bar, ...); other
-columns are passed over.
+A table of rows has the columns a_psi, b_psi, c_psi, d_psi, or in another unit of pressure (a_pa, a_kpa, a_bar, ...); \
+other columns are passed over.
 
 Examples:
-  freerig model module --gamma 60deg --pressures 5psi,0psi,0psi,0psi
+  freerig model module --gamma 60deg --pressures 5psi,0psi,0psi,0psi --fidelity rod
   freerig model module --gamma 30deg --layout LRLR --spacing 25mm --pressures 4psi,4psi,0psi,0psi
   freerig model module --gamma 60deg --plate-mass 30g --gravity 0m/s2,9.81m/s2,0m/s2 --force -0.1N,0N,0N \\
       --pressures 3psi,0psi,3psi,0psi

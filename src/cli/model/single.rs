@@ -11,6 +11,7 @@ use crate::cli::tube::TubeArgs;
 use crate::cli::{Context, Failure, Progress};
 use crate::config::Rig;
 use crate::fem::fidelity::{self, Answer, Considered, FidelityError, Hold, Scene};
+use crate::fem::measure::difference;
 use crate::fem::section::folds;
 use crate::record::model_sheet;
 use crate::units::{Force, Length, Percent, Pressure};
@@ -19,12 +20,12 @@ use crate::units::{Force, Length, Percent, Pressure};
 const CURVE: std::ops::RangeInclusive<u32> = 0..=10;
 
 const EXAMPLES: &str = "\
-Without --pressure it computes 0, 1, ... 10 psi. Past a limit the values are missing and the limit is named: that is an
-answer, not a failure. Signs: z from base to tip, right-handed; force and moment are what the closed FREE does to its
-distal support, the thrust on its cap included.
+Without --pressure it computes 0, 1, ... 10 psi. Past a limit the values are missing and the limit is named: that is \
+an answer, not a failure. Signs: z from base to tip, right-handed; force and moment are what the closed FREE does to \
+its distal support, the thrust on its cap included.
 
 Examples:
-  freerig model single --gamma -40deg --pressure 7psi
+  freerig model single --gamma -40deg --pressure 1psi,2psi
   freerig model single --gamma 60deg --ends blocked --pressure 2psi,4psi --fidelity section
   freerig model single --length 130mm --pressure 5psi --fidelity auto --tolerance 1% --json
   freerig model single --gamma 30deg --fiber-model line --fidelity solid --pressure 3psi
@@ -160,8 +161,8 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
                 .to_owned(),
         );
     }
-    if let Some(beyond) = answer.folds_beyond {
-        remarks.push(fold(&scene, beyond)?);
+    if hold == Hold::Blocked && answer.fidelity >= fidelity::Fidelity::Section && tube.fiber_width > 0.0 {
+        remarks.extend(fold(&scene, &answer)?);
     }
     let mut report = Report {
         fidelity: answer.fidelity.name(),
@@ -182,21 +183,34 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     if context.json { context.print_json(&report) } else { context.print(report.text(&scene)) }
 }
 
-/// Where the rubber folds at the strip's end, which is one of the mesh: the range over the meshes that were tried.
-fn fold(scene: &Scene, beyond: f64) -> Result<String, Failure> {
-    let most = scene.pressures.iter().copied().fold(0.0, |most: f64, p| if p.abs() > most.abs() { p } else { most });
-    let meshes = ["blunt", "default", "fine"].into_iter().zip(folds(&scene.tube, scene.hold.ends(), most)?);
-    let told = meshes.map(|(name, (_, limit))| match limit {
-        Some(limit) => format!("at {:.2} on the {name} mesh", Pressure::pascals(limit.pressure)),
-        None => format!("not up to {:.2} on the {name} one", Pressure::pascals(most)),
-    });
-    Ok(format!(
-        "beyond {:.2} the rubber folds at the edge of the fibre's strip on some meshes and not on others ({}): the pressure \
-         of the fold is a property of the mesh. States there are those of a mesh that has not folded; the error estimate \
-         covers the spread over the meshes and the 1 % of load that a fold may take",
-        Pressure::pascals(beyond),
-        told.collect::<Vec<_>>().join(", ")
-    ))
+/// Where the rubber folds at the strip's end on the way to the farthest pressure answered, which is one of the mesh,
+/// and what it would bear then; none where no mesh folds.
+fn fold(scene: &Scene, answer: &Answer) -> Result<Option<String>, Failure> {
+    let reached = answer.points.iter().filter_map(|point| Some((point.pressure, point.rest?)));
+    let Some((most, rest)) = reached.max_by(|a, b| a.0.abs().total_cmp(&b.0.abs())) else { return Ok(None) };
+    let found = folds(&scene.tube, scene.hold.ends(), most)?;
+    if found.iter().all(|fold| fold.limit.is_none()) {
+        return Ok(None);
+    }
+    let (mut told, mut loads) = (Vec::new(), Vec::new());
+    for (name, fold) in ["blunt", "default", "fine", "sharp"].into_iter().zip(found) {
+        told.push(match fold.limit {
+            Some(limit) => format!("at {:.2} on the {name} one", Pressure::pascals(limit.pressure)),
+            None => format!("not up to {:.2} on the {name} one", Pressure::pascals(most)),
+        });
+        if let Some(folded) = fold.folded {
+            let apart = difference(&scene.tube, scene.hold.ends(), &[((&folded).into(), rest.into())]);
+            loads.push(format!("{:.1} % ({name})", 100.0 * apart));
+        }
+    }
+    let loads = if loads.is_empty() { "unknown".into() } else { loads.join(", ") };
+    Ok(Some(format!(
+        "the rubber folds at the edge of the fibre's strip, at a pressure that is a property of the mesh: {}. States beyond \
+         are those of rubber that has not folded, and so is the error estimate; how far the load is from theirs at {:.2} \
+         once it has folded, without touching itself: {loads}",
+        told.join(", "),
+        Pressure::pascals(most)
+    )))
 }
 
 type Asked = (Answer, Option<f64>, Option<String>, Vec<Considered>);
@@ -283,7 +297,14 @@ impl Report {
                     Force::newtons(tube.fiber_ea)
                 ),
             ),
-            ("rubber".into(), format!("{:?}", tube.law)),
+            (
+                "rubber".into(),
+                format!(
+                    "{}, mu {:.3} MPa",
+                    tube.law.exponent().map_or("linear".into(), |alpha| format!("Ogden, alpha {alpha}")),
+                    tube.law.shear_modulus() / 1e6
+                ),
+            ),
             ("discretisation error, estimated".into(), percent(self.discretisation_error_estimate)),
             ("model error, estimated".into(), percent(self.model_error_estimate)),
         ];

@@ -16,13 +16,13 @@ use crate::plan::{Inverse, Pose, Rest, Target, inverse};
 use crate::units::{Angle, Length, PASCAL_PER_PSI};
 
 const EXAMPLES: &str = "\
-A point leaves one of the four pressures free: it goes to the largest margin. A target out of reach is projected to the
-nearest plate, and the reason is told: that is an answer, not a failure.
+A point leaves one of the four pressures free: it goes to the largest margin. A target out of reach is projected to \
+the nearest plate, and the reason is told: that is an answer, not a failure.
 
 Examples:
-  freerig plan inverse --gamma 60deg --position 4mm,-3mm,131mm
-  freerig plan inverse --gamma 60deg --position 0mm,5mm,131mm --twist -20deg
-  freerig plan inverse --gamma 30deg --position 5mm,5mm,128mm --max-pressure 5psi --dead C --json";
+  freerig plan inverse --gamma 60deg --length 130mm --position 4mm,-3mm,131mm
+  freerig plan inverse --gamma 60deg --length 130mm --position 0mm,5mm,131mm --twist -20deg
+  freerig plan inverse --gamma 30deg --length 130mm --position 5mm,5mm,128mm --max-pressure 5psi --dead C --json";
 
 /// What `freerig plan inverse` takes.
 #[derive(Debug, clap::Args)]

@@ -19,8 +19,19 @@ use crate::fem::module::NAMES;
 use crate::plan::{Bound, Ended, FREES, Limits, Margin, PlanError};
 use crate::units::Pressure;
 
+const EXAMPLES: &str = "\
+Computed from rig.toml and the calibration files, or from what the flags say: no daemon, nothing moves. The pages go to \
+the folder of the runs.
+
+Examples:
+  freerig plan workspace --gamma 60deg
+  freerig plan inverse --gamma 60deg --length 130mm --position 4mm,-3mm,131mm
+  freerig --rig experiments/module/rig.toml plan whisk --output whisk.toml
+  freerig plan design --sweep gamma=20deg..70deg";
+
 /// What `freerig plan` takes.
 #[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub struct Args {
     #[command(subcommand)]
     what: What,

@@ -19,11 +19,11 @@ use crate::record::way_sheet;
 use crate::units::{PASCAL_PER_PSI, PressureRate};
 
 const EXAMPLES: &str = "\
-FILE.csv has a row for each moment and the columns t_s, x_mm, y_mm, z_mm (or other units of time and length): where the
-plate's centre should be in the base's frame. The plan begins at its first point; how to get there from rest is the
-regulators' business, within the same slew rate. A point out of reach is projected, counted, and its reason is told.
-The file of --csv can be given to `freerig model module --pressures`; its clipped columns are 1 where the highest pressure
-or rate, -1 where the lowest holds a pressure that does not reach its point.
+FILE.csv has a row for each moment and the columns t_s, x_mm, y_mm, z_mm (or other units of time and length): where \
+the plate's centre should be in the base's frame. The plan begins at its first point; how to get there from rest is \
+the regulators' business, within the same slew rate. A point out of reach is projected, counted, and its reason is told. \
+The file of --csv can be given to `freerig model module --pressures`; its clipped columns are 1 where the highest \
+pressure or rate, -1 where the lowest holds a pressure that does not reach its point.
 
 Examples:
   freerig plan path --gamma 60deg circle.csv

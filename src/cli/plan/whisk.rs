@@ -29,10 +29,10 @@ const PERIODS: u32 = 3;
 const LEAD: f64 = 2.0;
 
 const EXAMPLES: &str = "\
-The module is the rig's; where it has none, four FREEs of the rig's first one, RLRL, 20 mm apart. `eight` is a figure of
-the plate's centre, whose pressures the inverse model finds; `paper` is the published pattern of pressures, between 2 and
-10 psi, and `round` the same in another order, which draws a circle and no eight. What lies past a limit of the module is
-said to, and the largest whisk of its kind that does not is written in its place.
+The module is the rig's; where it has none, four FREEs of the rig's first one, RLRL, 20 mm apart. `eight` is a figure \
+of the plate's centre, whose pressures the inverse model finds; `paper` is the published pattern of pressures, between \
+2 and 10 psi, and `round` the same in another order, which draws a circle and no eight. What lies past a limit of the \
+module is said to, and the largest whisk of its kind that does not is written in its place.
 
 Examples:
   freerig plan whisk                                     an eight of 8 mm by 3 mm, a quarter of it a second

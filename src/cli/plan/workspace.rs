@@ -20,7 +20,7 @@ use crate::record::{ModuleDrawing, workspace_recording, workspace_sheet};
 use crate::units::{PASCAL_PER_PSI, Pressure};
 
 const EXAMPLES: &str = "\
-Cases: 1 all four FREEs, 2 a diagonal pair, 3 one, 4 two neighbours, 5 three; fifteen paths. Beside the page stands a
+Cases: 1 all four FREEs, 2 a diagonal pair, 3 one, 4 two neighbours, 5 three; fifteen paths. Beside the page stands a \
 recording in space for rerun's viewer.
 
 Examples:

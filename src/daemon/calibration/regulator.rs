@@ -73,15 +73,15 @@ pub fn evaluate(rig: &Rig, subject: usize, run: &Run, date: &str) -> Result<Find
         origin.enter(&mut calibration, &keys::REGULATOR_LAG, steps.lag.times(1e3), None),
         origin.enter(&mut calibration, &keys::REGULATOR_DEAD_TIME, dead_time.times(1e3), None),
     ];
-    let slew = [steps.rise, steps.fall].into_iter().flatten().reduce(|a, b| if a.value < b.value { a } else { b });
     let mut remarks = Vec::new();
-    match slew {
-        Some(slew) => {
-            values.push(origin.enter(&mut calibration, &keys::FASTEST_FILL, slew.times(1.0 / PASCAL_PER_PSI), None))
+    // The rise alone: the interlocks grow a stale pressure by it, and a regulator that empties more slowly fills no less.
+    match steps.rise {
+        Some(rise) => {
+            values.push(origin.enter(&mut calibration, &keys::FASTEST_FILL, rise.times(1.0 / PASCAL_PER_PSI), None))
         }
         None => remarks.push(
-            "no step reached a slew limit of the regulator's own: it is at least as fast as `slew_psi_per_s` in \
-             rig.toml lets the commands be"
+            "no step up reached a slew limit of the regulator's own: it is at least as fast as `slew_psi_per_s` in \
+             rig.toml lets the commands be, and what stood for its fastest fill stays"
                 .to_owned(),
         ),
     }

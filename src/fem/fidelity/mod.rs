@@ -142,9 +142,6 @@ pub struct Answer {
     pub limit: Option<Limit>,
     /// Estimated relative error of the tier's discretisation.
     pub discretisation_error: f64,
-    /// Pressure, Pa, beyond which some meshes of the section have folded at the strip's end and others have not
-    /// ([`crate::fem::section::Curve::folds_beyond`]).
-    pub folds_beyond: Option<f64>,
     /// The sections from base to tip at the farthest pressure reached; none where the tier knows no ends.
     pub profile: Vec<Station>,
 }

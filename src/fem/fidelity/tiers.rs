@@ -116,7 +116,6 @@ fn linear(scene: &Scene) -> Result<Answer, FidelityError> {
         points: points.collect(),
         limit: None,
         discretisation_error: 0.0,
-        folds_beyond: None,
         profile: Vec::new(),
     })
 }
@@ -165,14 +164,7 @@ fn nonlinear(scene: &Scene) -> Result<Answer, FidelityError> {
         Point { pressure, rest: Some(rest) }
     });
     let points = points.collect();
-    Ok(Answer {
-        fidelity: Fidelity::Nonlinear,
-        points,
-        limit,
-        discretisation_error: 0.0,
-        folds_beyond: None,
-        profile: Vec::new(),
-    })
+    Ok(Answer { fidelity: Fidelity::Nonlinear, points, limit, discretisation_error: 0.0, profile: Vec::new() })
 }
 
 /// The section on a mesh chosen for the relative error `tolerance`.
@@ -181,14 +173,13 @@ pub(super) fn section(scene: &Scene, tolerance: f64) -> Result<Answer, FidelityE
         return Err(FidelityError::Line);
     }
     let mut points = empty(scene);
-    let (mut limit, mut discretisation_error, mut folds_beyond) = (None, 0.0_f64, None);
+    let (mut limit, mut discretisation_error) = (None, 0.0_f64);
     for way in scene.ways().iter().filter(|way| !way.is_empty()) {
         let pressures: Vec<f64> = way.iter().map(|&i| scene.pressures[i]).collect();
         let curve = curve_within(&scene.tube, &pressures, scene.hold.ends(), tolerance)?;
         let any = curve.points.iter().flatten().any(|point| point.pressure != 0.0);
         let error = curve.error.unwrap_or(if any { f64::INFINITY } else { 0.0 });
         discretisation_error = discretisation_error.max(error);
-        folds_beyond = folds_beyond.or(curve.folds_beyond);
         for (&i, found) in way.iter().zip(curve.points) {
             match found {
                 Ok(equilibrium) => points[i].rest = Some(Rest::from(&equilibrium)),
@@ -200,7 +191,7 @@ pub(super) fn section(scene: &Scene, tolerance: f64) -> Result<Answer, FidelityE
             }
         }
     }
-    Ok(Answer { fidelity: Fidelity::Section, points, limit, discretisation_error, folds_beyond, profile: Vec::new() })
+    Ok(Answer { fidelity: Fidelity::Section, points, limit, discretisation_error, profile: Vec::new() })
 }
 
 /// The solid on its usual mesh, its discretisation error estimated against the coarse one.
@@ -209,7 +200,7 @@ fn solid(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Answer, Fidelit
         path(scene, &solid::Mesh::sector(&scene.tube), &mut |share| progress(USUAL * share))?;
     let (other, ..) = path(scene, &coarse(&scene.tube), &mut |share| progress(USUAL + (1.0 - USUAL) * share))?;
     let discretisation_error = common_difference(&other, &points, scene);
-    Ok(Answer { fidelity: Fidelity::Solid, points, limit, discretisation_error, folds_beyond: None, profile })
+    Ok(Answer { fidelity: Fidelity::Solid, points, limit, discretisation_error, profile })
 }
 
 /// A mesh that only the ends are looked at with: a quarter of the elements each way, and still small ones at the ends.

@@ -13,8 +13,8 @@ pub enum LimitKind {
     /// The pressure has a maximum (or minimum) along the path: the tube balloons, or its force or moment gives way.
     Pressure,
     /// The rubber folds at the strip's end at held stretch and twist. Local, and dependent on the mesh: the traction
-    /// jumps at the strip's end, so a finer mesh folds earlier, down to less than half of the pressure (see the
-    /// module and [`super::folds`]).
+    /// jumps at the strip's end, so a finer mesh folds earlier, down to a third of the pressure (see the module and
+    /// [`super::folds`]).
     Folding,
     /// Fields that break the symmetry about the fibre grow.
     Asymmetric,

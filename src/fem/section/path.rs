@@ -13,7 +13,11 @@ use super::newton::{Condition, Solution, Workspace, global_step};
 const SHORTEST: f64 = 1.0 / 256.0;
 /// Largest change of the correction over that of the prediction.
 const TRUST: f64 = 0.5;
-/// Largest part of a step's way by which the tangents at its two ends may disagree.
+/// Largest part of a step's way by which the tangents at its two ends may disagree: a jump of more than half of it is
+/// seen. Measured on the paths of 60 seeded tubes, free and blocked, up to `mu wall / Ri`, on levels 1 and 2 and a
+/// sharp mesh: with 0.03 the same 123 of 360 end at a limit, all but 12 to 0.1 % at the same pressure (those are folds
+/// of which one follows another, 7 % on at most); with 0.3 one path differs, without the check two step over their
+/// fold.
 const JUMP: f64 = 0.1;
 /// Positions over Ro that are the same.
 const ROUND_OFF: f64 = 1e-6;
@@ -124,9 +128,10 @@ fn slope(solution: &Solution, free: [bool; 2]) -> Option<f64> {
     Some(global_step(h, &nalgebra::Vector3::zeros(), &[0.0; 3], conditions)?.z)
 }
 
-/// Whether the mode that turns unstable between two states moves some of the rubber much more than the cavity's wall: a
-/// fold at the strip's end does, the swelling of the whole tube does not. Both states' responses to pressure are
-/// regular but for that mode, which their difference leaves.
+/// Whether the mode that turns unstable between two states moves some of the rubber more than the cavity's wall: a fold
+/// at the strip's end does (the wall by 0.11 to 0.67 of it in the folds of 60 seeded blocked tubes on three meshes),
+/// the swelling of the whole tube does not (1 or more). Both states' responses to pressure are regular but for that
+/// mode, which their difference leaves.
 fn local(sector: &Sector, stable: &Solution, unstable: &Solution) -> bool {
     let mode = |node: usize| {
         let at = |solution: &Solution, k: usize| solution.responses[2].position[3 * node + k];

@@ -6,9 +6,9 @@ use super::{Section, SectionError, State};
 use crate::fem::ends::{Ends, Equilibrium};
 
 impl Section {
-    /// Takes `state` to the gauge pressure `pressure`, Pa, and to `ends` as [`Section::advance`] does, but gives up early: none where
-    /// four steps do not lead to a stable, symmetric equilibrium. No limit is searched. Then `state` stays somewhere on
-    /// the way.
+    /// Takes `state` to the gauge pressure `pressure`, Pa, and to `ends` as [`Section::advance`] does, but gives up
+    /// early: none where four steps do not lead to a stable, symmetric equilibrium. No limit is searched. Then `state`
+    /// stays somewhere on the way.
     ///
     /// # Errors
     /// Where pressure or ends are none.

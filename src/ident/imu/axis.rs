@@ -64,7 +64,7 @@ pub enum AxisError {
     #[error("an axis needs at least {READINGS_MIN} readings; there are {0}")]
     TooFew(usize),
     /// No orientation.
-    #[error("reading {index} has the norm {norm}; an orientation's is 1 within {NORM_MAX}")]
+    #[error("reading {index} has the norm {norm:.4}; an orientation's is 1 within {NORM_MAX}")]
     Norm {
         /// Which one.
         index: usize,
@@ -72,10 +72,10 @@ pub enum AxisError {
         norm: f64,
     },
     /// The tare is none.
-    #[error("the tare has the norm {0}; an orientation's is 1 within {NORM_MAX}")]
+    #[error("the tare has the norm {0:.4}; an orientation's is 1 within {NORM_MAX}")]
     Tare(f64),
     /// Too far from one reading to the next.
-    #[error("reading {index} is {angle} rad from the one before it; at most {JUMP_MAX} rad can be followed")]
+    #[error("reading {index} is {angle:.4} rad from the one before it; at most {JUMP_MAX} rad can be followed")]
     Jump {
         /// Which one.
         index: usize,
@@ -83,16 +83,16 @@ pub enum AxisError {
         angle: f64,
     },
     /// Hardly turned.
-    #[error("the FREE turned by {0} rad only; at least {MOVEMENT_MIN} rad are needed: turn it farther")]
+    #[error("the FREE turned by {0:.4} rad only; at least {MOVEMENT_MIN} rad are needed: turn it farther")]
     TooSmall(f64),
     /// Turned about more than one axis.
-    #[error("{share} of the movement is across the axis; at most {ACROSS_MAX} may be: turn it without bending it")]
+    #[error("{share:.3} of the movement is across the axis; at most {ACROSS_MAX} may be: turn it without bending it")]
     Across {
         /// Share.
         share: f64,
     },
     /// Turned to both sides.
-    #[error("the FREE turned by {there} rad and by {back} rad to the other side: turn it to one side only")]
+    #[error("the FREE turned by {there:.4} rad and by {back:.4} rad to the other side: turn it to one side only")]
     BothWays {
         /// Farthest, rad.
         there: f64,

@@ -99,7 +99,9 @@ pub enum StillError {
     #[error("reading {0} is not later than the one before it")]
     NotInOrder(usize),
     /// Readings are missing.
-    #[error("{missing} readings are missing, {share} of all; at most {limit} may be: bus, wiring, clock stretching?")]
+    #[error(
+        "{missing} readings are missing, {share:.3} of all; at most {limit} may be: bus, wiring, clock stretching?"
+    )]
     Missing {
         /// How many.
         missing: usize,
@@ -109,7 +111,9 @@ pub enum StillError {
         limit: f64,
     },
     /// The angle leaves its line.
-    #[error("the angle strays by {angle} rad; a still FREE keeps within {limit} rad: let it rest, and do not touch it")]
+    #[error(
+        "the angle strays by {angle:.5} rad; a still FREE keeps within {limit} rad: let it rest, and do not touch it"
+    )]
     Moving {
         /// How far, rad.
         angle: f64,
@@ -117,7 +121,9 @@ pub enum StillError {
         limit: f64,
     },
     /// The rate leaves its mean.
-    #[error("the rate strays by {rate} rad/s; a still FREE keeps within {limit} rad/s: let it rest, do not touch it")]
+    #[error(
+        "the rate strays by {rate:.5} rad/s; a still FREE keeps within {limit} rad/s: let it rest, do not touch it"
+    )]
     Turning {
         /// How far, rad/s.
         rate: f64,
@@ -125,7 +131,7 @@ pub enum StillError {
         limit: f64,
     },
     /// Too noisy.
-    #[error("the angle's noise is {noise} rad; at most {limit} rad is allowed: mounting, vibration, fusion mode?")]
+    #[error("the angle's noise is {noise:.6} rad; at most {limit} rad is allowed: mounting, vibration, fusion mode?")]
     Noisy {
         /// Standard deviation, rad.
         noise: f64,
@@ -133,7 +139,9 @@ pub enum StillError {
         limit: f64,
     },
     /// Drifts too fast.
-    #[error("the angle drifts by {drift} +- {uncertainty} rad/s; at most {limit} is allowed: calibrate the gyro")]
+    #[error(
+        "the angle drifts by {drift:.2e} +- {uncertainty:.1e} rad/s; at most {limit} is allowed: calibrate the gyro"
+    )]
     Drifting {
         /// Drift, rad/s.
         drift: f64,

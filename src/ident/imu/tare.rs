@@ -33,7 +33,7 @@ pub enum TareError {
     #[error("a tare needs at least {READINGS_MIN} readings; there are {0}")]
     TooFew(usize),
     /// No orientation.
-    #[error("reading {index} has the norm {norm}; an orientation's is 1 within {NORM_MAX}")]
+    #[error("reading {index} has the norm {norm:.4}; an orientation's is 1 within {NORM_MAX}")]
     Norm {
         /// Which one.
         index: usize,
@@ -41,7 +41,9 @@ pub enum TareError {
         norm: f64,
     },
     /// It moved.
-    #[error("reading {index} is {angle} rad from the mean; at rest it is within {SPREAD_MAX} rad: let the FREE rest")]
+    #[error(
+        "reading {index} is {angle:.4} rad from the mean; at rest it is within {SPREAD_MAX} rad: let the FREE rest"
+    )]
     Moving {
         /// Which one.
         index: usize,

@@ -74,14 +74,14 @@ pub enum FiberError {
     #[error("point {0} of the fibre's test is not finite")]
     NotFinite(usize),
     /// Never pulled.
-    #[error("the largest strain is {0}: the fibre was not pulled")]
+    #[error("the largest strain is {0:.4}: the fibre was not pulled")]
     NotPulled(f64),
     /// EA is not positive.
-    #[error("EA is {0} N per unit strain: it must be positive")]
+    #[error("EA is {0:.3} N per unit strain: it must be positive")]
     NotPositive(f64),
     /// Softer beyond a strain.
     #[error(
-        "beyond the strain {strain} the fibre has {beyond} N per unit strain, before it {before}: it slips or breaks"
+        "beyond the strain {strain:.4} the fibre has {beyond:.3} N per unit strain, before it {before:.3}: it slips or breaks"
     )]
     Yields {
         /// Where.
@@ -92,7 +92,7 @@ pub enum FiberError {
         beyond: f64,
     },
     /// No line.
-    #[error("{residual} N are left over, {share} of the range; at most {RESIDUAL_MAX} may be: this is no line")]
+    #[error("{residual:.3} N are left over, {share:.3} of the range; at most {RESIDUAL_MAX} may be: this is no line")]
     NoLine {
         /// Residual, N.
         residual: f64,

@@ -63,7 +63,9 @@ pub enum TensileError {
     None,
     /// A number that is none, or a length that cannot be.
     #[error(
-        "point {index} of specimen {specimen} is stretch {stretch} at {stress} Pa: both must be finite, the stretch positive"
+        "point {} of specimen {} is stretch {stretch} at {stress} Pa: both must be finite, the stretch positive",
+        .index + 1,
+        .specimen + 1
     )]
     Point {
         /// Which curve.
@@ -76,7 +78,10 @@ pub enum TensileError {
         stress: f64,
     },
     /// Too few points at small strain.
-    #[error("specimen {specimen} has {count} points at strains of 0 to {SMALL_STRAIN}; {SMALL_MIN} are needed for E")]
+    #[error(
+        "specimen {} has {count} points at strains of 0 to {SMALL_STRAIN}; {SMALL_MIN} are needed for E",
+        .specimen + 1
+    )]
     SmallStrain {
         /// Which curve.
         specimen: usize,
@@ -84,7 +89,7 @@ pub enum TensileError {
         count: usize,
     },
     /// Hardly stretched.
-    #[error("specimen {specimen} was stretched by {strain} only; an exponent needs {STRAIN_MIN}")]
+    #[error("specimen {} was stretched by {strain:.3} only; an exponent needs {STRAIN_MIN}", .specimen + 1)]
     TooShort {
         /// Which curve.
         specimen: usize,

@@ -6,6 +6,7 @@ use std::os::unix::net::UnixStream;
 use embedded_hal::i2c::{I2c, Operation};
 use freerig::sim::chips::SimI2c;
 
+use super::pace::Pace;
 use super::redir::{Link, PACKET, Packet, kind};
 
 /// What the driver looks for.
@@ -53,8 +54,9 @@ const I2C: u32 = 1;
 const READ: u16 = 1;
 
 /// The adapter.
-struct Adapter {
+struct Adapter<'p> {
     bus: SimI2c,
+    pace: &'p Pace,
     /// What has been written since the transaction began.
     written: Vec<Vec<u8>>,
     /// How the latest transfer went: nothing yet, acknowledged, not acknowledged.
@@ -71,9 +73,9 @@ struct Control {
 }
 
 /// Serves the adapter until its connection ends.
-pub fn serve(stream: UnixStream, bus: SimI2c) -> io::Result<()> {
+pub fn serve(stream: UnixStream, bus: SimI2c, pace: &Pace) -> io::Result<()> {
     let mut link = Link::open(stream, VENDOR, PRODUCT)?;
-    let mut adapter = Adapter { bus, written: Vec::new(), status: 0 };
+    let mut adapter = Adapter { bus, pace, written: Vec::new(), status: 0 };
     loop {
         let Packet { kind, id, body } = link.receive()?;
         match (kind, &body[..]) {
@@ -102,7 +104,7 @@ pub fn serve(stream: UnixStream, bus: SimI2c) -> io::Result<()> {
     }
 }
 
-impl Adapter {
+impl Adapter<'_> {
     /// Carries out a request; none for one that it does not know.
     fn control(&mut self, control: &Control, data: &[u8]) -> Option<Vec<u8>> {
         let answer = match (control.of & OF_VENDOR != 0, control.request) {
@@ -141,6 +143,8 @@ impl Adapter {
             if read {
                 operations.push(Operation::Read(&mut answer));
             }
+            // A chip that starts must not be late by what the bench's time lags behind.
+            self.pace.now();
             if self.bus.transaction(control.index as u8, &mut operations).is_err() {
                 self.status = 2;
             }

@@ -52,11 +52,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let pace = Pace::new(monitor, stepper);
 
     spawn({
-        let (usb, plug) = (usb.clone(), Arc::clone(&plug));
+        let (usb, plug, pace) = (usb.clone(), Arc::clone(&plug), pace.clone());
         move || {
             loop {
                 if let Some(stream) = insert(&usb, &plug) {
-                    let ended = adapter::serve(stream, bus.clone());
+                    let ended = adapter::serve(stream, bus.clone(), &pace);
                     eprintln!("hil-bench: the adapter's connection has ended: {ended:?}");
                 }
                 sleep(PACE);
