@@ -168,14 +168,9 @@ impl CasePath {
         Some((shift.xy().norm(), shift.z))
     }
 
-    /// Pressures and plates that are within `limits`.
-    fn within(&self, limits: &Limits) -> impl Iterator<Item = ([f64; 4], Pose)> {
-        let all = self.pressures.iter().zip(&self.poses).zip(&self.margins);
-        all.filter_map(|((pressure, pose), margin)| {
-            let pressures = self.case.pressures(*pressure);
-            let within = margin.smooth >= limits.margin && limits.clip(&pressures) == pressures;
-            within.then_some((pressures, *pose))
-        })
+    /// Pressures and plates.
+    fn plates(&self) -> impl Iterator<Item = ([f64; 4], Pose)> {
+        self.pressures.iter().zip(&self.poses).map(|(pressure, pose)| (self.case.pressures(*pressure), *pose))
     }
 }
 
@@ -204,8 +199,8 @@ pub fn against_paper(thirty: (&Rest<'_>, &[CasePath]), sixty: (&Rest<'_>, &[Case
     ]
 }
 
-/// What the module reaches within `limits`, whose slew rate does not count; the plates of `paths` that are within them
-/// are among those found.
+/// What the module reaches within `limits`, whose slew rate does not count; the plates of `paths`, up to their ends, are among
+/// those found.
 ///
 /// # Errors
 /// Limits that are none, the lowest pressures out of reach.
@@ -217,7 +212,7 @@ pub fn reach(rest: &Rest<'_>, limits: &Limits, paths: &[CasePath]) -> Result<Rea
     let farthest: Result<Vec<_>, _> = ways.par_iter().map(|way| farthest(rest, limits, &states, way)).collect();
     states.extend(farthest?);
     let searched = states.iter().map(|s| (pressures_of(s), Pose::of(s)));
-    let found: Vec<_> = searched.chain(paths.iter().flat_map(|path| path.within(limits))).collect();
+    let found: Vec<_> = searched.chain(paths.iter().flat_map(CasePath::plates)).collect();
     let [xy, xz] = planes.map(|plane| outline(rest, limits, &states, &found, plane));
     let twists = found.iter().map(|(_, pose)| twist(pose));
     let twist = twists.fold([f64::INFINITY, f64::NEG_INFINITY], |[a, b], x| [a.min(x), b.max(x)]);

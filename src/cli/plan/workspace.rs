@@ -93,7 +93,7 @@ struct ModuleReport {
     hull_xy: Hull,
     hull_xz: Hull,
     plates_found: usize,
-    /// Combinations of five pressures each that no stable way leads to, of how many.
+    /// Combinations of five pressures each that no stable way with enough margin leads to, of how many.
     refused: [usize; 2],
     /// Least and greatest turn about the plate's own axis.
     turn_rad: [f64; 2],
@@ -152,9 +152,7 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         progress.set(2.0 * i as f64, &format!("{name}: fifteen paths"));
         let paths = cases(&rest, highest, POINTS).map_err(refused)?;
         progress.set(2.0 * i as f64 + 1.0, &format!("{name}: hull"));
-        // To where stability and clearance end, as the paths.
-        let limits = Limits { margin: 0.0, ..Limits::up_to(highest) };
-        let reach = reach(&rest, &limits, &paths).map_err(refused)?;
+        let reach = reach(&rest, &Limits::up_to(highest), &paths).map_err(refused)?;
         found.push(Found { scene, name, rest, paths, reach });
     }
     drop(progress);
