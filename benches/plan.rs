@@ -67,7 +67,8 @@ fn workspaces(c: &mut Criterion) {
     group.sample_size(10);
     group.bench_function("15 paths of 50", |b| b.iter(|| workspace::cases(&rest, 7.0 * PSI, 50).expect("paths")));
     let limits = Limits::up_to(7.0 * PSI);
-    group.bench_function("reach", |b| b.iter(|| workspace::reach(&rest, &limits).expect("a hull")));
+    let paths = workspace::cases(&rest, 7.0 * PSI, 50).expect("paths");
+    group.bench_function("reach", |b| b.iter(|| workspace::reach(&rest, &limits, &paths).expect("a hull")));
     group.finish();
 }
 
