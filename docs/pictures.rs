@@ -46,7 +46,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let program = program.ancestors().nth(2).ok_or("the program is not where cargo puts an example")?.join("freerig");
     // Runs and calibrations go to a copy.
     let place = tempfile::tempdir()?;
-    for name in ["rig.toml", "calibration/paper.toml", "experiments/module/rig.toml"] {
+    let files = ["paper", "module-l", "module-r"].map(|name| format!("calibration/{name}.toml"));
+    for name in files.iter().map(String::as_str).chain(["rig.toml", "experiments/module/rig.toml"]) {
         let to = place.path().join(name);
         fs::create_dir_all(to.parent().ok_or("a file without a folder")?)?;
         fs::copy(here.join(name), to)?;
