@@ -207,7 +207,7 @@ fn fold(scene: &Scene, answer: &Answer) -> Result<Option<String>, Failure> {
     Ok(Some(format!(
         "the rubber folds at the edge of the fibre's strip, at a pressure that is a property of the mesh: {}. States beyond \
          are those of rubber that has not folded, and so is the error estimate; how far the load is from theirs at {:.2} \
-         once it has folded, without touching itself: {loads}",
+         once it has folded, contact with itself left out: {loads}",
         told.join(", "),
         Pressure::pascals(most)
     )))
