@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use serde_json::json;
 
 use super::table::Table;
-use super::{Context, Failure, runs};
+use super::{Context, Failure, Progress, runs};
 use crate::record::{FreeMetrics, Metrics, Run, write_report};
 use crate::units::PASCAL_PER_PSI;
 
@@ -26,8 +26,9 @@ pub struct Args {
 /// Makes the report and prints its figures.
 pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     let run = runs::find(context, &args.run)?;
-    let metrics = Metrics::of(&run)?;
-    let report = write_report(&run)?;
+    let mut progress = Progress::new("report", 100.0, "%");
+    let (report, metrics) = write_report(&run, &mut |share| progress.set(100.0 * share, ""))?;
+    drop(progress);
     if context.json {
         return context.print_json(&json!({
             "report": report,

@@ -122,7 +122,7 @@ pub struct Progress<'a> {
     pub run: (&'a str, &'a Path),
     /// Which repetition, from 1.
     pub repeat: u32,
-    /// Time since the program's start, s.
+    /// Time since the program's start, s; of the report, how much of the program it has gone through.
     pub elapsed: f64,
     /// Duration of the program, s; zero where none is under way.
     pub duration: f64,
@@ -181,14 +181,14 @@ fn repeat<B: Bench>(
     }
     // The reports of the earlier ones know nothing yet of the later ones, and show their scatter.
     if let [earlier @ .., _] = runs.as_slice() {
-        earlier.iter().for_each(report);
+        earlier.iter().for_each(|run| report(run, &mut |_| {}));
     }
     Ok(runs)
 }
 
 /// Makes the report of `run`. The run itself is safe on the disk; without a report it still is a run.
-fn report(run: &Run) {
-    if let Err(error) = write_report(run) {
+fn report(run: &Run, watch: &mut dyn FnMut(f64)) {
+    if let Err(error) = write_report(run, watch) {
         tracing::warn!(%error, run = run.id(), "the report could not be made");
     }
 }
@@ -211,9 +211,12 @@ fn once<B: Bench>(
     let recorder = Recorder::create(&rig.record.directory, document(bench, rig, job, repetition), options)?;
     let (id, folder) = (recorder.id().to_owned(), recorder.folder().to_owned());
     let mut follower = guide.map(|guide| Follower::new(rig, job, guide, &folder)).transpose()?;
+    let mut at = |phase, elapsed, duration, record: &TickRecord| {
+        watch(&Progress { phase, run: (&id, &folder), repeat, elapsed, duration, record });
+    };
     let mut tell = |phase, duration, record: &TickRecord| {
         let elapsed = if record.program_time.is_finite() { record.program_time } else { 0.0 };
-        watch(&Progress { phase, run: (&id, &folder), repeat, elapsed, duration, record });
+        at(phase, elapsed, duration, record);
     };
     let lost_before = bench.with_pump(|p| p.lost_records());
     bench.attach(recorder);
@@ -263,8 +266,8 @@ fn once<B: Bench>(
     };
     let run = run?;
     back?;
-    tell("writing the report", 0.0, &bench.latest());
-    report(&run);
+    let (latest, duration) = (bench.latest(), job.program.duration);
+    report(&run, &mut |share| at("writing the report", share * duration, duration, &latest));
     Ok(run)
 }
 

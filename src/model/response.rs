@@ -34,12 +34,17 @@ pub enum ResponseError {
     },
 }
 
-/// Longest step of the integration, s.
+/// Longest step of the integration, s, of a history that this does not make too long.
 const LONGEST_STEP: f64 = 2e-3;
+/// Fewest steps that a history may be cut into before they become longer than that: a second or two of work.
+const MANY_STEPS: f64 = 1e6;
 
 /// Open-loop response of the nonlinear model to a pressure history: (s, phi), m and rad, at each of `times` (s),
 /// with `pressures` (Pa) linear between them. Starts at rest, s = phi = 0, with the `hysteresis` as a full cycle has left
 /// it. Its corners fall into steps of at most 2 ms: what a step overlooks, the next one makes good.
+///
+/// A history of more than a million such steps is cut into as many longer ones; the method damps what is then faster
+/// than a step.
 pub fn response(
     free: &Free,
     hysteresis: &Hysteresis,
@@ -56,7 +61,8 @@ pub fn response(
     if let Some(bad) = (0..times.len()).find(|&i| !good(i)) {
         return Err(ResponseError::Sample(bad));
     }
-    let step = model.suggested_step(0.0).min(LONGEST_STEP);
+    let whole = times.last().zip(times.first()).map_or(0.0, |(last, first)| last - first);
+    let step = model.suggested_step(0.0).min(LONGEST_STEP).max(whole / MANY_STEPS);
     let own = free.direction();
     let mut memory = HysteresisState::rested(hysteresis);
     let mut state = LumpedState::default();

@@ -10,6 +10,7 @@ use serde::Serialize;
 use super::document::RunKind;
 use super::html::{Page, degrees, escape};
 use super::metrics::{ErrorMetrics, FreeMetrics, Metrics, range, rms};
+use super::recorded::Recorded;
 use super::run::{Run, write_atomically};
 use super::signals::{Signals, interpolate};
 use super::{RecordError, Result, figures, prediction};
@@ -105,7 +106,7 @@ impl Comparison {
         let mut groups: Vec<(&Run, Group)> = Vec::new();
         let mut remarks = Vec::new();
         for run in runs {
-            let all = match Signals::load_all(run) {
+            let all = match Recorded::of(run, &mut |_| {}) {
                 Err(error @ RecordError::NoSamples { .. }) => {
                     remarks.push(error.to_string());
                     continue;
@@ -114,7 +115,7 @@ impl Comparison {
             };
             let Some(signals) = primary(run, &all).cloned() else { continue };
             let index = rows.len();
-            rows.push(row(run, &all, &signals)?);
+            rows.push(row(run, &all, &signals));
             let same = |other: &&mut (&Run, Group)| {
                 let (first, group) = (other.0.start(), &other.1);
                 let same_free = group.members.first().is_some_and(|m| m.1.name == signals.name);
@@ -140,12 +141,12 @@ impl Comparison {
     /// # Errors
     /// Where samples cannot be read, or the runs have no time in common.
     pub fn pair(a: &Run, b: &Run) -> Result<Self> {
-        let (all_a, all_b) = (Signals::load_all(a)?, Signals::load_all(b)?);
+        let (all_a, all_b) = (Recorded::of(a, &mut |_| {})?, Recorded::of(b, &mut |_| {})?);
         let nothing = |run: &Run| RecordError::Incomparable(format!("{} holds no record of a FREE", run.id()));
         let own_a = primary(a, &all_a).ok_or_else(|| nothing(a))?;
         let own_b = primary(b, &all_b).ok_or_else(|| nothing(b))?;
         let mut pairs: Vec<(&Signals, &Signals)> =
-            all_a.iter().filter_map(|x| Some((x, all_b.iter().find(|y| y.name == x.name)?))).collect();
+            all_a.frees.iter().filter_map(|x| Some((x, all_b.frees.iter().find(|y| y.name == x.name)?))).collect();
         let mut remarks = Vec::new();
         if pairs.is_empty() {
             pairs.push((own_a, own_b));
@@ -162,7 +163,7 @@ impl Comparison {
         }
         // The rows are about the same FREE where there is one.
         let (row_a, row_b) = pairs.iter().find(|(x, _)| x.name == own_a.name).unwrap_or(&pairs[0]);
-        let rows = vec![row(a, &all_a, row_a)?, row(b, &all_b, row_b)?];
+        let rows = vec![row(a, &all_a, row_a), row(b, &all_b, row_b)];
         let groups = pairs.into_iter().map(|(x, y)| Group {
             heading: if x.name == y.name { x.name.clone() } else { format!("{} and {}", x.name, y.name) },
             members: vec![(0, x.clone()), (1, y.clone())],
@@ -312,16 +313,16 @@ impl Comparison {
 }
 
 /// The FREE that `run` is about; the first that was asked something where it is about all.
-fn primary<'a>(run: &Run, all: &'a [Signals]) -> Option<&'a Signals> {
-    all.iter().find(|s| s.name == run.start().subject).or(all.first())
+fn primary<'a>(run: &Run, all: &'a Recorded) -> Option<&'a Signals> {
+    all.frees.iter().find(|s| s.name == run.start().subject).or(all.frees.first())
 }
 
-fn row(run: &Run, all: &[Signals], signals: &Signals) -> Result<Row> {
-    let predictions: Vec<_> = all.iter().map(prediction::dynamic).collect();
-    let metrics = Metrics::from(run, all, &predictions, None)?;
+fn row(run: &Run, all: &Recorded, signals: &Signals) -> Row {
+    let predictions: Vec<_> = all.frees.iter().map(prediction::dynamic).collect();
+    let metrics = Metrics::from(run, all, &predictions, None);
     let free: Option<&FreeMetrics> = metrics.frees.iter().find(|f| f.free == signals.name);
     let start = run.start();
-    Ok(Row {
+    Row {
         id: run.id().into(),
         folder: run.folder.clone(),
         title: start.name().into(),
@@ -337,7 +338,7 @@ fn row(run: &Run, all: &[Signals], signals: &Signals) -> Result<Row> {
         hysteresis_rad: free.and_then(|f| f.hysteresis_rad),
         highest_pressure_pa: free.and_then(|f| f.highest_pressure_pa),
         deadline_misses: metrics.deadline_misses,
-    })
+    }
 }
 
 /// Deviation of the angle of `b` from that of `a`; `None` where they have no time in common.

@@ -13,7 +13,6 @@ use super::module::TipPath;
 use super::plot::{Band, Line, Plot};
 use super::prediction;
 use super::run::Run;
-use super::samples::Table;
 use super::signals::{Signals, interpolate};
 use super::{Result, palette};
 use crate::config::Temperatures;
@@ -248,23 +247,26 @@ pub fn repeats(runs: &[Signals]) -> (Plot, Plot) {
 /// How many ticks woke up how late, and took how long; on a logarithmic scale, so that a stall is seen beside the rest.
 pub fn latency(run: &Run) -> Result<Bars> {
     const PER_DECADE: f64 = 16.0;
-    let table = run.table(&["latency_ns".into(), "execution_ns".into()])?;
-    // A time that was not measured is none.
-    let micros = |name: &str| table.get(name).iter().map(|v| v * 1e-3).filter(|v| *v > 0.0).collect::<Vec<_>>();
-    let (latency, execution) = (micros("latency_ns"), micros("execution_ns"));
-    let bin = |v: &f64| (v.log10() * PER_DECADE).floor() as i32;
+    const COLUMNS: [&str; 2] = ["latency_ns", "execution_ns"];
+    let mut counts: [BTreeMap<i32, u64>; 2] = Default::default();
+    for table in run.tables(&COLUMNS.map(String::from))? {
+        let table = table?;
+        for (counts, name) in counts.iter_mut().zip(COLUMNS) {
+            // A time that was not measured is none.
+            for micros in table.get(name).iter().map(|v| v * 1e-3).filter(|v| *v > 0.0) {
+                *counts.entry((micros.log10() * PER_DECADE).floor() as i32).or_default() += 1;
+            }
+        }
+    }
     let edge = |bin: i32| 10f64.powf(f64::from(bin) / PER_DECADE);
-    let bars = |values: &[f64]| {
-        let mut counts = BTreeMap::<i32, u64>::new();
-        values.iter().for_each(|v| *counts.entry(bin(v)).or_default() += 1);
-        counts.into_iter().map(|(i, n)| (edge(i), edge(i + 1), n)).collect::<Vec<_>>()
-    };
+    let [latency, execution] =
+        counts.map(|counts| counts.into_iter().map(|(i, n)| (edge(i), edge(i + 1), n)).collect::<Vec<_>>());
     Ok(Bars {
         x_label: "time [us]".into(),
         height: 240,
         series: vec![
-            ("from the deadline to the wake-up".into(), palette::BLUE, bars(&latency)),
-            ("execution".into(), palette::ORANGE, bars(&execution)),
+            ("from the deadline to the wake-up".into(), palette::BLUE, latency),
+            ("execution".into(), palette::ORANGE, execution),
         ],
     })
 }
@@ -274,22 +276,16 @@ pub fn timeline(run: &Run, signals: &Signals) -> Result<Lanes> {
     let names = run.names();
     let mut columns: Vec<String> = ["state", "rig_faults", "latched_faults"].map(String::from).into();
     columns.extend(names.iter().flat_map(|n| [column_name(n, "faults"), column_name(n, "limits")]));
-    let table: Table = run.table(&columns)?;
+    let changes = changes(run, &columns)?;
+    let (first, last) = (signals.t.first().copied().unwrap_or(0.0), signals.t.last().copied().unwrap_or(1.0));
     let spans = |column: &str, shown: &dyn Fn(u32) -> Option<(u32, String)>| {
-        let codes = table.get(column);
-        let mut spans = Vec::new();
-        let mut from = 0;
-        for i in 1..=codes.len() {
-            if i < codes.len() && codes[i] == codes[from] {
-                continue;
-            }
-            let end = signals.t.get(i).or(signals.t.last()).copied().unwrap_or(0.0);
-            if let (Some((rgb, text)), Some(&start)) = (shown(codes[from] as u32), signals.t.get(from)) {
-                spans.push((start, end, rgb, text));
-            }
-            from = i;
-        }
-        spans
+        let changes = columns.iter().position(|c| c == column).map_or(&[][..], |i| &changes[i]);
+        let ends = changes.iter().skip(1).map(|(t, _)| first + t).chain([last]);
+        let spans = changes.iter().zip(ends).filter_map(|(&(t, code), end)| {
+            let (rgb, text) = shown(code)?;
+            Some((first + t, end, rgb, text))
+        });
+        spans.collect::<Vec<_>>()
     };
     let faults = |set: u32| {
         let names: Vec<_> = FaultSet(set).iter().map(|c| c.name()).collect();
@@ -308,8 +304,25 @@ pub fn timeline(run: &Run, signals: &Signals) -> Result<Lanes> {
     lanes.push(Lane { name: "rig: faults".into(), spans: spans("rig_faults", &faults) });
     lanes.push(Lane { name: "latched".into(), spans: spans("latched_faults", &faults) });
     lanes.retain(|lane| !lane.spans.is_empty());
-    let whole = (signals.t.first().copied().unwrap_or(0.0), signals.t.last().copied().unwrap_or(1.0));
-    Ok(Lanes { x_label: TIME.into(), x_range: (whole.0, whole.1.max(whole.0 + 1e-3)), lanes })
+    Ok(Lanes { x_label: TIME.into(), x_range: (first, last.max(first + 1e-3)), lanes })
+}
+
+/// The values of each of `columns`, and since when: seconds since the run's first record.
+fn changes(run: &Run, columns: &[String]) -> Result<Vec<Vec<(f64, u32)>>> {
+    let mut changes = vec![Vec::<(f64, u32)>::new(); columns.len()];
+    let mut start = None;
+    for table in run.tables(&[columns, &["t_s".into()]].concat())? {
+        let table = table?;
+        for (changes, column) in changes.iter_mut().zip(columns) {
+            for (&t, &value) in table.get("t_s").iter().zip(table.get(column)) {
+                let code = value as u32;
+                if changes.last().is_none_or(|(_, before)| *before != code) {
+                    changes.push((t - *start.get_or_insert(t), code));
+                }
+            }
+        }
+    }
+    Ok(changes)
 }
 
 /// Lines of several runs, each with its label.

@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::canvas::{AXIS, Axis, FONT, GRID, TEXT, WIDTH, color, fluid, plot_error};
+use super::canvas::{Axis, FONT, TEXT, WIDTH, color, fluid, plot_error, styled};
 use super::{Result, palette};
 
 /// One lane: its name, and what held from when to when.
@@ -46,31 +46,28 @@ impl Lanes {
                 .y_label_area_size(names)
                 .build_cartesian_2d(Axis::new(self.x_range.0..self.x_range.1), 0.0..count as f64)
                 .map_err(plot_error)?;
-            chart
-                .configure_mesh()
-                .disable_y_mesh()
-                .y_labels(0)
-                .light_line_style(TRANSPARENT)
-                .bold_line_style(GRID)
-                .axis_style(AXIS)
-                .label_style((FONT, 13).into_font().color(&TEXT))
+            styled(chart.configure_mesh().disable_y_mesh().y_labels(0))
                 .x_desc(self.x_label.as_str())
                 .draw()
                 .map_err(plot_error)?;
             let label = (FONT, 13).into_font().color(&TEXT);
+            let pixel = (self.x_range.1 - self.x_range.0) / f64::from(WIDTH - names - 16);
             for (i, lane) in self.lanes.iter().enumerate() {
                 let (top, bottom) = (count as f64 - i as f64 - 0.1, count as f64 - i as f64 - 0.9);
+                let mut painted = (f64::NEG_INFINITY, 0);
                 for (from, to, rgb, text) in &lane.spans {
                     let (from, to) = (from.max(self.x_range.0), to.min(self.x_range.1));
-                    if to <= from {
+                    // What falls into a pixel that has its colour already shows nothing: a limit may come and go a
+                    // million times in a long run.
+                    if to <= from || (to <= painted.0 && *rgb == painted.1) {
                         continue;
                     }
+                    painted = (from + pixel, *rgb);
                     chart
                         .draw_series([Rectangle::new([(from, bottom), (to, top)], color(*rgb).mix(0.75).filled())])
                         .map_err(plot_error)?;
                     // Only where it has room; about 7 pixels a letter.
-                    let pixels = (to - from) / (self.x_range.1 - self.x_range.0) * f64::from(WIDTH - names - 16);
-                    if pixels > 7.0 * text.len() as f64 + 8.0 {
+                    if (to - from) / pixel > 7.0 * text.len() as f64 + 8.0 {
                         let (x, y) = chart.backend_coord(&(from, f64::midpoint(top, bottom)));
                         let style = (FONT, 12).into_font().color(&WHITE).pos(Pos::new(HPos::Left, VPos::Center));
                         area.draw(&Text::new(text.clone(), (x + 5, y), style)).map_err(plot_error)?;

@@ -21,6 +21,7 @@ use super::Result;
 use super::document::ErrorDocument;
 use super::module::{Apart, TipPath};
 use super::prediction;
+use super::recorded::Recorded;
 use super::run::Run;
 use super::signals::{Signals, interpolate};
 use crate::signal::Quantity;
@@ -129,30 +130,27 @@ impl Metrics {
     /// # Errors
     /// Where its samples cannot be read.
     pub fn of(run: &Run) -> Result<Self> {
-        let signals = Signals::load_all(run)?;
-        let predictions: Vec<_> = signals.iter().map(prediction::dynamic).collect();
-        Self::from(run, &signals, &predictions, TipPath::of(run)?.as_ref())
+        let recorded = Recorded::of(run, &mut |_| {})?;
+        let predictions: Vec<_> = recorded.frees.iter().map(prediction::dynamic).collect();
+        Ok(Self::from(run, &recorded, &predictions, TipPath::of(run)?.as_ref()))
     }
 
-    /// The same from signals and predictions that have been made already.
+    /// The same of what has been read and predicted already.
     pub(super) fn from(
         run: &Run,
-        signals: &[Signals],
+        recorded: &Recorded,
         predictions: &[std::result::Result<Vec<f64>, String>],
         tip: Option<&TipPath>,
-    ) -> Result<Self> {
-        let table = run.table(&["skipped".into()])?;
-        let skipped = table.get("skipped");
-        let misses = skipped.last().unwrap_or(&0.0) - skipped.first().unwrap_or(&0.0);
-        Ok(Self {
+    ) -> Self {
+        Self {
             id: run.id().into(),
             simulated: run.start().simulated(),
             complete: run.is_complete(),
-            records: table.len() as u64,
-            deadline_misses: misses.max(0.0) as u64,
-            frees: signals.iter().zip(predictions).map(|(s, p)| FreeMetrics::of(s, p)).collect(),
+            records: recorded.records,
+            deadline_misses: recorded.deadline_misses,
+            frees: recorded.frees.iter().zip(predictions).map(|(s, p)| FreeMetrics::of(s, p)).collect(),
             tip: tip.and_then(TipMetrics::of),
-        })
+        }
     }
 }
 
@@ -184,11 +182,8 @@ impl FreeMetrics {
         Self {
             free: signals.name.clone(),
             quantity: signals.quantity,
-            error: angular.then(|| ErrorMetrics::of(t, reference, angle)).flatten(),
-            true_error: signals
-                .true_angle_in_window()
-                .filter(|_| angular)
-                .and_then(|truth| ErrorMetrics::of(t, reference, truth)),
+            error: signals.error.filter(|_| angular),
+            true_error: signals.true_error.filter(|_| angular),
             moves: if angular { moves_where_known(t, reference, angle) } else { Vec::new() },
             model_rmsd_rad,
             model_rmsd_percent: percent(model_rmsd_rad),
@@ -197,27 +192,8 @@ impl FreeMetrics {
             rest_rmsd_percent: rest.map(|r| 100.0 * r.0 / r.1),
             hysteresis_rad,
             hysteresis_percent: percent(hysteresis_rad),
-            highest_pressure_pa: signals.pressure.iter().copied().filter(|p| p.is_finite()).reduce(f64::max),
+            highest_pressure_pa: signals.highest_pressure,
         }
-    }
-}
-
-impl ErrorMetrics {
-    /// Errors of `y` against `reference` at `t`; `None` where there is no pair of numbers.
-    pub fn of(t: &[f64], reference: &[f64], y: &[f64]) -> Option<Self> {
-        let errors: Vec<(f64, f64)> = t
-            .iter()
-            .zip(reference.iter().zip(y))
-            .map(|(&t, (r, y))| (t, r - y))
-            .filter(|(_, e)| e.is_finite())
-            .collect();
-        let end = errors.last()?.0;
-        let last: Vec<f64> = errors.iter().filter(|(t, _)| *t >= end - 0.1).map(|(_, e)| *e).collect();
-        Some(Self {
-            rms_rad: rms(errors.iter().map(|(_, e)| *e))?,
-            peak_rad: errors.iter().fold(0.0, |peak, (_, e)| f64::max(peak, e.abs())),
-            final_rad: last.iter().sum::<f64>() / last.len() as f64,
-        })
     }
 }
 
@@ -395,10 +371,9 @@ pub fn range(values: &[f64]) -> Option<f64> {
 /// # Errors
 /// Where its samples cannot be read.
 pub fn errors(run: &Run) -> Result<Vec<ErrorDocument>> {
-    let errors = Signals::load_all(run)?.into_iter().filter(|s| s.quantity == Quantity::Angle).filter_map(|s| {
-        let window = s.window.clone();
-        let e = ErrorMetrics::of(&s.t[window.clone()], &s.reference[window.clone()], &s.angle[window])?;
-        Some(ErrorDocument { free: s.name, rms_rad: e.rms_rad, peak_rad: e.peak_rad, final_rad: e.final_rad })
+    let errors = Recorded::of(run, &mut |_| {})?.frees.into_iter().filter_map(|s| {
+        let ErrorMetrics { rms_rad, peak_rad, final_rad } = s.error.filter(|_| s.quantity == Quantity::Angle)?;
+        Some(ErrorDocument { free: s.name, rms_rad, peak_rad, final_rad })
     });
     Ok(errors.collect())
 }
@@ -410,18 +385,6 @@ mod tests {
     /// 0.01 s apart.
     fn times(n: usize) -> Vec<f64> {
         (0..n).map(|i| 0.01 * i as f64).collect()
-    }
-
-    #[test]
-    fn errors_are_those_computed_by_hand() {
-        let t = times(100);
-        let reference = vec![1.0; 100];
-        let y: Vec<f64> = (0..100).map(|i| if i < 50 { 0.0 } else { 0.9 }).collect();
-        let e = ErrorMetrics::of(&t, &reference, &y).unwrap();
-        assert!((e.rms_rad - (0.5f64 * (1.0 + 0.01)).sqrt()).abs() < 1e-12);
-        assert_eq!(e.peak_rad, 1.0);
-        assert!((e.final_rad - 0.1).abs() < 1e-12);
-        assert_eq!(ErrorMetrics::of(&t, &[f64::NAN; 100], &y), None);
     }
 
     #[test]

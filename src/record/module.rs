@@ -21,8 +21,10 @@ use crate::plan::observer::{Unknown, tip, turned};
 const TARE: [&str; 4] = ["tare_qw", "tare_qx", "tare_qy", "tare_qz"];
 const NOW: [&str; 4] = ["imu_qw", "imu_qx", "imu_qy", "imu_qz"];
 const TRUTH: [&str; 3] = ["true_x_m", "true_y_m", "true_z_m"];
-/// Time between two estimates of the way, s.
+/// Time between two points of the way, s.
 const STEP: f64 = 0.02;
+/// Most points of a way: those of a longer one are further apart.
+const MOST: usize = 1 << 14;
 
 /// Four FREEs under one plate.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -149,6 +151,8 @@ impl WhiskDocument {
 /// The plate's centre over a run's program, m; a point that is not known is none.
 #[derive(Clone, Debug, Default)]
 pub struct TipPath {
+    /// How far its points are apart, s.
+    pub step: f64,
     /// Time of the program, s.
     pub t: Vec<f64>,
     /// Where it was wanted.
@@ -201,44 +205,63 @@ impl TipPath {
         for own in TARE.into_iter().chain(NOW).chain(TRUTH) {
             columns.push(column_name(a, own));
         }
-        let table = run.table(&columns)?;
-        let get = |name: &str, column: &str| table.get(&column_name(name, column));
-        let times = table.get("program_time_s");
-        let mut path = TipPath::default();
+        let mut path = TipPath { step: STEP, ..TipPath::default() };
         let held = tip::read(&run.folder)?.map(HeldPath::of);
         // Without its law the module has no estimate, and the rest of the way stands.
         let built = if held.is_none() { module.module() } else { None };
         let rest = built.as_ref().and_then(|(module, scene)| Rest::new(module, &scene.loads([0.0; 4])).ok());
         let mut state = rest.as_ref().map(|rest| rest.state().clone());
         let mut next = f64::NEG_INFINITY;
-        for (row, &t) in times.iter().enumerate() {
-            if t.is_nan() || t < next {
-                continue;
+        for table in run.tables(&columns)? {
+            let table = table?;
+            for (row, &t) in table.get("program_time_s").iter().enumerate() {
+                if t.is_nan() || t < next {
+                    continue;
+                }
+                if path.t.len() == MOST {
+                    path.halve();
+                }
+                next = t + path.step - 1e-6;
+                let value = |name: &str, column: &str| {
+                    table.get(&column_name(name, column)).get(row).copied().unwrap_or(f64::NAN)
+                };
+                let known = |x: [f64; 3]| Some(Vector3::from(x)).filter(|x| x.iter().all(|x| x.is_finite()));
+                let pressure = |name: &&str| {
+                    let measured = value(name, "pressure_pa");
+                    if measured.is_finite() { measured } else { value(name, "command_pa") }
+                };
+                path.t.push(t);
+                path.planned.push(start.whisk.as_ref().and_then(|w| w.at(&w.planned_m, t)));
+                path.predicted.push(start.whisk.as_ref().and_then(|w| w.at(&w.predicted_m, t)));
+                path.estimated.push(match &held {
+                    Some(held) => held.at(t),
+                    None => rest.as_ref().zip(state.as_mut()).and_then(|(rest, state)| {
+                        let pressures: Vec<f64> = names.iter().map(pressure).collect();
+                        let quaternion = |of: [&str; 4]| of.map(|column| value(a, column));
+                        let rotation = turned(module.imu_axis, quaternion(TARE), quaternion(NOW));
+                        estimate(rest, state, &pressures.try_into().ok()?, rotation)
+                    }),
+                });
+                path.truth.push(known(TRUTH.map(|column| value(a, column))));
             }
-            next = t + STEP - 1e-6;
-            let value = |name: &str, column: &str| get(name, column).get(row).copied().unwrap_or(f64::NAN);
-            let known = |x: [f64; 3]| Some(Vector3::from(x)).filter(|x| x.iter().all(|x| x.is_finite()));
-            let pressure = |name: &&str| {
-                let measured = value(name, "pressure_pa");
-                if measured.is_finite() { measured } else { value(name, "command_pa") }
-            };
-            let pressures: Vec<f64> = names.iter().map(pressure).collect();
-            let quaternion = |of: [&str; 4]| of.map(|column| value(a, column));
-            let rotation = turned(module.imu_axis, quaternion(TARE), quaternion(NOW));
-            path.t.push(t);
-            path.planned.push(start.whisk.as_ref().and_then(|w| w.at(&w.planned_m, t)));
-            path.predicted.push(start.whisk.as_ref().and_then(|w| w.at(&w.predicted_m, t)));
-            if let Some(held) = &held {
-                path.estimated.push(held.at(t));
-            } else {
-                path.estimated.push(rest.as_ref().zip(state.as_mut()).and_then(|(rest, state)| {
-                    let pressures: [f64; 4] = pressures.try_into().ok()?;
-                    estimate(rest, state, &pressures, rotation)
-                }));
-            }
-            path.truth.push(known(TRUTH.map(|column| value(a, column))));
         }
         Ok(Some(path))
+    }
+
+    /// Leaves every second point, and takes half as many from here on.
+    fn halve(&mut self) {
+        fn every_second<T>(all: &mut Vec<T>) {
+            let mut keep = false;
+            all.retain(|_| {
+                keep = !keep;
+                keep
+            });
+        }
+        every_second(&mut self.t);
+        [&mut self.planned, &mut self.predicted, &mut self.estimated, &mut self.truth]
+            .into_iter()
+            .for_each(every_second);
+        self.step *= 2.0;
     }
 }
 

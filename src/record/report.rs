@@ -7,32 +7,39 @@ use super::html::{Page, degrees, escape, prose};
 use super::metrics::{ErrorMetrics, FreeMetrics, Metrics, TipMetrics};
 use super::module::TipPath;
 use super::plot::Plot;
+use super::recorded::Recorded;
 use super::run::{REPORT_NAME, Run, write_atomically};
 use super::signals::Signals;
 use super::{Result, figures, prediction};
 use crate::signal::Quantity;
 use crate::units::PASCAL_PER_PSI;
 
-/// Makes the report of `run` in its folder; returns where it is.
+/// Share of a report's making that its first reading of the samples takes.
+const READING: f64 = 0.4;
+
+/// Makes the report of `run` in its folder; returns where it is, and its figures. `watch` is told how far it is, 0 to 1.
 ///
 /// # Errors
 /// Where the samples cannot be read or the file cannot be written.
-pub fn write_report(run: &Run) -> Result<PathBuf> {
+pub fn write_report(run: &Run, watch: &mut dyn FnMut(f64)) -> Result<(PathBuf, Metrics)> {
     let path = run.folder.join(REPORT_NAME);
-    write_atomically(&path, html(run)?.as_bytes())?;
-    Ok(path)
+    let (html, metrics) = html(run, watch)?;
+    write_atomically(&path, html.as_bytes())?;
+    Ok((path, metrics))
 }
 
-/// The report of `run` as HTML.
-///
-/// # Errors
-/// Where the samples cannot be read.
-pub fn html(run: &Run) -> Result<String> {
+/// The report of `run` as HTML, and its figures.
+fn html(run: &Run, watch: &mut dyn FnMut(f64)) -> Result<(String, Metrics)> {
     let start = run.start();
-    let signals = Signals::load_all(run)?;
-    let predictions: Vec<_> = signals.iter().map(prediction::dynamic).collect();
+    let recorded = Recorded::of(run, &mut |share| watch(READING * share))?;
+    let signals = &recorded.frees;
+    let mut predictions = Vec::new();
+    for (index, signals) in signals.iter().enumerate() {
+        predictions.push(prediction::dynamic(signals));
+        watch(READING + (0.7 - READING) * (index + 1) as f64 / recorded.frees.len() as f64);
+    }
     let tip = TipPath::of(run)?;
-    let metrics = Metrics::from(run, &signals, &predictions, tip.as_ref())?;
+    let metrics = Metrics::from(run, &recorded, &predictions, tip.as_ref());
 
     let title = heading(start);
     let mut page = Page::new(&title);
@@ -47,10 +54,13 @@ pub fn html(run: &Run) -> Result<String> {
     }
     page.raw("</p>");
     if let Some(stop) = run.stop().filter(|s| !s.message.is_empty()) {
-        page.raw(&format!("<p class=\"warning\">{}</p>", prose(&ending(stop, &signals))));
+        page.raw(&format!("<p class=\"warning\">{}</p>", prose(&ending(stop, signals))));
     }
     if !start.note.is_empty() {
         page.raw(&format!("<p class=\"note\">{}</p>", escape(&start.note)));
+    }
+    if let Some(remark) = thinned(&recorded) {
+        page.raw(&format!("<p class=\"warning\">{}</p>", escape(&remark)));
     }
     page.raw("</header><main>");
 
@@ -60,12 +70,14 @@ pub fn html(run: &Run) -> Result<String> {
     for ((signals, prediction), metrics) in signals.iter().zip(&predictions).zip(&metrics.frees) {
         free_section(&mut page, run, signals, prediction, metrics)?;
     }
+    watch(0.8);
     repeats(&mut page, run)?;
     page.raw("<section><h2>States, faults, limits</h2>");
     if let Some(first) = signals.first() {
         page.raw(&figures::timeline(run, first)?.svg()?);
     }
-    faults(&mut page, run.stop(), &signals);
+    watch(0.9);
+    faults(&mut page, run.stop(), signals);
     page.raw("</section><section><h2>Loop</h2>");
     loop_table(&mut page, run, &metrics);
     if !start.stepped {
@@ -82,7 +94,23 @@ pub fn html(run: &Run) -> Result<String> {
         escape(&start.freerig_version)
     ));
     page.raw("</footer>");
-    Ok(page.end())
+    Ok((page.end(), metrics))
+}
+
+/// What a long run's report leaves out.
+fn thinned(recorded: &Recorded) -> Option<String> {
+    let (first, averaged) = (recorded.frees.first()?, recorded.frees.iter().map(|s| s.drive.averaged).max()?);
+    let apart = first.t.get(1)? - first.t.first()?;
+    let kept = (recorded.every > 1).then(|| {
+        format!(
+            "A long run, {} records: plots and moves are of every {}th, {apart:.3} s apart; RMS, peak and final error \
+             and the highest pressure are of all.",
+            recorded.records, recorded.every
+        )
+    });
+    let model = (averaged > 1).then(|| format!("The model follows means of {averaged} readings of the pressure."));
+    let text: Vec<String> = kept.into_iter().chain(model).collect();
+    (!text.is_empty()).then(|| text.join(" "))
 }
 
 fn heading(start: &StartDocument) -> String {
@@ -211,9 +239,15 @@ fn repeats(page: &mut Page, run: &Run) -> Result<()> {
     if group.len() < 2 {
         return Ok(());
     }
-    let signals: Vec<Signals> = group.iter().filter_map(|r| Signals::load_all(r).ok()?.into_iter().next()).collect();
     page.raw(&format!("<section><h2>{} repetitions</h2>", group.len()));
-    let metrics: Vec<Metrics> = group.iter().filter_map(|r| Metrics::of(r).ok()).collect();
+    let mut signals: Vec<Signals> = Vec::new();
+    let mut metrics: Vec<Metrics> = Vec::new();
+    for run in &group {
+        let Ok(recorded) = Recorded::of(run, &mut |_| {}) else { continue };
+        let predictions: Vec<_> = recorded.frees.iter().map(prediction::dynamic).collect();
+        metrics.push(Metrics::from(run, &recorded, &predictions, None));
+        signals.extend(recorded.frees.into_iter().next());
+    }
     let of = |pick: &dyn Fn(&FreeMetrics) -> Option<f64>| -> Vec<f64> {
         metrics.iter().filter_map(|m| pick(m.frees.first()?)).collect()
     };

@@ -8,7 +8,7 @@ use jiff::Zoned;
 
 use super::document::{ErrorDocument, FORMAT, RunDocument, StartDocument, StopDocument};
 use super::metrics;
-use super::samples::{Records, Table};
+use super::samples::{Records, Table, Tables};
 use super::{RecordError, Result};
 use crate::config::distance;
 
@@ -193,7 +193,15 @@ impl Run {
     /// # Errors
     /// Where the samples cannot be read.
     pub fn table(&self, names: &[String]) -> Result<Table> {
-        Table::read(&self.folder, names)
+        self.tables(names)?.whole()
+    }
+
+    /// The same, piece by piece.
+    ///
+    /// # Errors
+    /// Where the samples cannot be read at all.
+    pub fn tables(&self, names: &[String]) -> Result<Tables> {
+        Tables::open(&self.folder, names)
     }
 
     /// Tracking errors of the FREEs that were given an angle: from the stop document, of an incomplete run from what

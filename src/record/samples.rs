@@ -4,7 +4,7 @@
 //! needed. A batch is handed to the operating system as soon as it is complete.
 
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Write};
+use std::io::{BufReader, BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 
 use arrow::array::{Array, AsArray, Float64Array, RecordBatch};
@@ -72,6 +72,7 @@ impl SampleWriter {
 pub struct Batches {
     reader: Option<StreamReader<BufReader<File>>>,
     schema: SchemaRef,
+    size: u64,
     truncated: bool,
 }
 
@@ -83,16 +84,24 @@ impl Batches {
     pub fn open(folder: &Path, projection: Option<Vec<usize>>) -> Result<Self> {
         let path = folder.join(FILE_NAME);
         let file = File::open(&path).map_err(RecordError::io(&path))?;
+        let size = file.metadata().map_err(RecordError::io(&path))?.len();
         let reader = StreamReader::try_new(BufReader::with_capacity(1 << 18, file), projection).map_err(|source| {
             // An empty or cut schema: the run was killed before its first sample.
             RecordError::NoSamples { path: path.clone(), reason: source.to_string() }
         })?;
-        Ok(Self { schema: reader.schema(), reader: Some(reader), truncated: false })
+        Ok(Self { schema: reader.schema(), reader: Some(reader), size, truncated: false })
     }
 
     /// The (projected) schema.
     pub fn schema(&self) -> &SchemaRef {
         &self.schema
+    }
+
+    /// How much of the file has been read, 0 to 1.
+    pub fn share(&self) -> f64 {
+        let Some(reader) = &self.reader else { return 1.0 };
+        let mut file: &File = reader.get_ref().get_ref();
+        file.stream_position().map_or(0.0, |at| at as f64 / self.size.max(1) as f64)
     }
 
     /// Whether the file ended within a batch; known when the iterator has ended.
@@ -129,28 +138,6 @@ pub struct Table {
 }
 
 impl Table {
-    /// Reads the columns `names` of the file in `folder`, as `f64` whatever they are stored as; a column that
-    /// the file lacks is left out.
-    ///
-    /// # Errors
-    /// Where the file cannot be read at all.
-    pub fn read(folder: &Path, names: &[String]) -> Result<Self> {
-        let all = Batches::open(folder, None)?.schema().clone();
-        let mut found: Vec<(usize, &String)> =
-            names.iter().filter_map(|n| all.index_of(n).ok().map(|i| (i, n))).collect();
-        // A projection keeps the file's order.
-        found.sort_unstable();
-        found.dedup();
-        let mut table =
-            Table { names: found.iter().map(|(_, n)| (*n).clone()).collect(), columns: vec![Vec::new(); found.len()] };
-        for batch in Batches::open(folder, Some(found.iter().map(|(i, _)| *i).collect()))? {
-            for (values, array) in table.columns.iter_mut().zip(batch.columns()) {
-                append_as_f64(values, array).map_err(RecordError::samples(&folder.join(FILE_NAME)))?;
-            }
-        }
-        Ok(table)
-    }
-
     /// The column `name`; empty where there is none.
     pub fn get(&self, name: &str) -> &[f64] {
         self.names.iter().position(|n| n == name).map_or(&[], |i| &self.columns[i])
@@ -167,14 +154,65 @@ impl Table {
     }
 }
 
-fn append_as_f64(values: &mut Vec<f64>, array: &dyn Array) -> std::result::Result<(), ArrowError> {
-    if let Some(floats) = array.as_primitive_opt::<Float64Type>() {
-        values.extend_from_slice(floats.values());
-    } else {
-        let floats = cast(array, &DataType::Float64)?;
-        values.extend_from_slice(floats.as_primitive::<Float64Type>().values());
+/// Some columns of a run as numbers, piece by piece: a run of a day does not fit into memory as a whole.
+pub struct Tables {
+    batches: Batches,
+    names: Vec<String>,
+    path: PathBuf,
+}
+
+impl Tables {
+    /// Opens the columns `names` of the file in `folder`, as `f64` whatever they are stored as; a column that the file
+    /// lacks is left out.
+    ///
+    /// # Errors
+    /// Where the file cannot be read at all.
+    pub fn open(folder: &Path, names: &[String]) -> Result<Self> {
+        let all = Batches::open(folder, None)?.schema().clone();
+        let mut found: Vec<(usize, &String)> =
+            names.iter().filter_map(|n| all.index_of(n).ok().map(|i| (i, n))).collect();
+        // A projection keeps the file's order.
+        found.sort_unstable();
+        found.dedup();
+        let batches = Batches::open(folder, Some(found.iter().map(|(i, _)| *i).collect()))?;
+        let names = found.into_iter().map(|(_, name)| name.clone()).collect();
+        Ok(Self { batches, names, path: folder.join(FILE_NAME) })
     }
-    Ok(())
+
+    /// All of them together.
+    ///
+    /// # Errors
+    /// Where a column does not hold numbers.
+    pub fn whole(self) -> Result<Table> {
+        let mut whole = Table { columns: vec![Vec::new(); self.names.len()], names: self.names.clone() };
+        for table in self {
+            whole.columns.iter_mut().zip(table?.columns).for_each(|(all, mut new)| all.append(&mut new));
+        }
+        Ok(whole)
+    }
+
+    /// How much of the file has been read, 0 to 1.
+    pub fn share(&self) -> f64 {
+        self.batches.share()
+    }
+}
+
+impl Iterator for Tables {
+    type Item = Result<Table>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let batch = self.batches.next()?;
+        let columns = batch.columns().iter().map(|array| as_f64(array)).collect::<std::result::Result<_, _>>();
+        let columns = columns.map_err(RecordError::samples(&self.path));
+        Some(columns.map(|columns| Table { names: self.names.clone(), columns }))
+    }
+}
+
+fn as_f64(array: &dyn Array) -> std::result::Result<Vec<f64>, ArrowError> {
+    if let Some(floats) = array.as_primitive_opt::<Float64Type>() {
+        return Ok(floats.values().to_vec());
+    }
+    Ok(cast(array, &DataType::Float64)?.as_primitive::<Float64Type>().values().to_vec())
 }
 
 /// The column `name` of `batch`; `None` where there is none or it is not of floating point.
