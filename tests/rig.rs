@@ -10,6 +10,7 @@ use freerig::config::experiment::{Experiment, Kind};
 use freerig::control::Request;
 use freerig::daemon::experiment::{Attendance, Job, run};
 use freerig::daemon::{Bench, DaemonError, Pump, Stepped, procedure};
+use freerig::hardware::wiring::ImuProfile;
 use freerig::record::{Recorder, RunResult};
 use freerig::signal::{State, TickRecord, Trim};
 
@@ -48,6 +49,22 @@ fn the_same_seed_gives_the_same_bits() {
     let (first, second) = (once(), once());
     assert!(first.len() > 4000, "{}", first.len());
     assert!(first == second);
+}
+
+#[test]
+fn an_imu_that_its_saved_profile_does_not_belong_to_is_told_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut rig = rig(folder.path());
+    let profile = ImuProfile { unique_id: [7; 16], registers: [0; 22] };
+    rig.wiring.i2c[0].imus[0].profile = Some(profile);
+    let mut bench = Stepped::new(&rig).unwrap();
+    let error = procedure::arm(&mut bench, &rig, true).unwrap_err();
+    assert!(bench.now() < Time::ZERO + Duration::from_secs(3), "{:?}", bench.now());
+    let text = error.to_string();
+    for part in ["BNO055 at 0x28", "profile belongs to sensor 0707", "but this is sensor", "Put the former sensor back"]
+    {
+        assert!(text.contains(part), "{text}");
+    }
 }
 
 /// A bench on a machine with so much to do that its procedures come to look every 0.7 s only.

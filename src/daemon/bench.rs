@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::clock::Time;
 use crate::control::Request;
-use crate::hardware::ProfileDesk;
+use crate::hardware::{DeviceStatistics, ProfileDesk};
 use crate::record::Recorder;
 use crate::signal::{TickRecord, Trim};
 use crate::sim::Hand;
@@ -43,6 +43,11 @@ pub trait Bench {
     /// Where the calibration profile of the IMU of the FREE `free` is asked for; `None` where it has none.
     fn profile(&self, _free: usize) -> Option<Arc<ProfileDesk>> {
         None
+    }
+
+    /// What has happened to each device so far, where that is counted.
+    fn devices(&self) -> Vec<Arc<DeviceStatistics>> {
+        Vec::new()
     }
 
     /// Has the simulated bench's hand do to the FREE `free` what `hand` says, for `duration` from now on. At a real bench

@@ -38,6 +38,14 @@ pub enum DaemonError {
         /// State it is in.
         state: &'static str,
     },
+    /// The devices were not set up in time.
+    #[error("the rig did not leave boot within {seconds:.1} s; it waits for{devices}")]
+    Boot {
+        /// How long, s.
+        seconds: f64,
+        /// A line for each device that is waited for: its name, and why.
+        devices: String,
+    },
     /// Somebody else ended it.
     #[error("{0}")]
     Interrupted(&'static str),
@@ -113,9 +121,10 @@ impl DaemonError {
                  first: then nothing says what it holds for."
                     .into()
             }
-            DaemonError::Timeout { .. } => "`freerig status` says what the rig waits for, without a daemon `freerig doctor`. A \
-                 simulated rig of another seed has another IMU, which a saved profile does not fit."
-                .into(),
+            DaemonError::Timeout { .. } => {
+                "`freerig status` says what the rig waits for, without a daemon `freerig doctor`.".into()
+            }
+            DaemonError::Boot { .. } => "`freerig doctor` talks to every device and says what is missing.".into(),
             DaemonError::Interrupted(_) => "`freerig status` shows where the rig stands.".into(),
             DaemonError::NotVented(_) => fault::row(FaultCode::VentFailed).remedy.into(),
             DaemonError::Owned(_) => {
@@ -149,6 +158,7 @@ impl From<&DaemonError> for Problem {
             | DaemonError::Margin(_)
             | DaemonError::Calibration(_)
             | DaemonError::Timeout { .. }
+            | DaemonError::Boot { .. }
             | DaemonError::Interrupted(_)
             | DaemonError::Unfit(_)
             | DaemonError::Owned(_) => ProblemKind::Refused,

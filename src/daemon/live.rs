@@ -49,6 +49,12 @@ pub struct FreeDevices {
     pub line: Option<Arc<LineStatistics>>,
 }
 
+impl FreeDevices {
+    fn all(&self) -> impl Iterator<Item = Arc<DeviceStatistics>> {
+        [&self.imu, &self.regulator, &self.sensor].into_iter().flatten().cloned()
+    }
+}
+
 /// A running rig. Dropping it without [`Live::stop`] ends the tick first; the bus owners then command zero and
 /// open the dump valve.
 pub struct Live {
@@ -75,6 +81,7 @@ pub struct LiveBench {
     statistics: Arc<rt::Statistics>,
     clock: Clock,
     profiles: Arc<Profiles>,
+    devices: Vec<Arc<DeviceStatistics>>,
     /// The simulated one.
     plant: Option<Arc<Mutex<Plant>>>,
 }
@@ -241,6 +248,7 @@ impl Live {
             statistics,
             clock,
             profiles: Arc::new(profiles),
+            devices: devices.iter().flat_map(FreeDevices::all).collect(),
             plant: sim.as_ref().map(SimRig::plant),
         };
         Ok(Self {
@@ -433,6 +441,10 @@ impl Bench for LiveBench {
 
     fn profile(&self, free: usize) -> Option<Arc<ProfileDesk>> {
         self.profiles.get(&free).cloned()
+    }
+
+    fn devices(&self) -> Vec<Arc<DeviceStatistics>> {
+        self.devices.clone()
     }
 
     fn pluck(&mut self, free: usize, hand: &Hand, duration: Duration) {

@@ -4,15 +4,19 @@ use std::time::Duration;
 
 use super::error::DaemonError;
 use super::{Bench, Change, margin, validity};
+use crate::clock::Time;
 use crate::config::Rig;
 use crate::control::Request;
 use crate::hardware::wiring::ImuProfile;
+use crate::hardware::{DeviceStatistics, HardwareError};
 use crate::signal::{Refusal, RefusalCode, RequestKind, State, TickRecord};
 
 /// How often a procedure looks at the rig.
 pub const LOOK: Duration = Duration::from_millis(20);
 /// Longest time that the devices' set-up may take.
 const BOOT: Duration = Duration::from_secs(8);
+/// A device that is refused for this long is so until a person does something about it.
+const REFUSED: Duration = Duration::from_millis(500);
 /// Longest time that self-test, vent check and tare may take.
 const ARMING: Duration = Duration::from_secs(10);
 /// Longest time that a sensor's profile may take to be read.
@@ -71,7 +75,7 @@ pub fn arm<B: Bench>(bench: &mut B, rig: &Rig, accept_margin: bool) -> Result<()
     }
     // The devices are set up while the rig boots.
     let mut refusals = Refusals::of(bench, RequestKind::Arm);
-    reach(bench, rig, BOOT, "disarmed", &mut refusals, |r| r.state != State::Boot)?;
+    boot(bench, rig, &mut refusals)?;
     bench.request(Request::Arm)?;
     let mut arming = false;
     reach(bench, rig, ARMING, "hold", &mut refusals, |r| {
@@ -82,6 +86,32 @@ pub fn arm<B: Bench>(bench: &mut B, rig: &Rig, accept_margin: bool) -> Result<()
     match bench.latest().state {
         state if state.is_armed() => Ok(()),
         _ => Err(DaemonError::Interrupted("disarmed while it was arming")),
+    }
+}
+
+/// Waits until the devices are set up.
+///
+/// # Errors
+/// The reason of a device that is refused, a refusal, a fault, or the time with what every device says.
+fn boot<B: Bench>(bench: &mut B, rig: &Rig, refusals: &mut Refusals) -> Result<(), DaemonError> {
+    let devices = bench.devices();
+    let mut refused: Option<(Time, HardwareError)> = None;
+    let booted = reach(bench, rig, BOOT, "disarmed", refusals, |r| {
+        let now = devices.iter().filter_map(|d| d.last_error()).find(HardwareError::is_refusal);
+        refused = now.map(|error| (refused.as_ref().map_or(r.time, |(since, _)| *since), error));
+        r.state != State::Boot || refused.as_ref().is_some_and(|(since, _)| r.time.since(*since) >= REFUSED)
+    });
+    match (booted, refused) {
+        (Ok(()), Some((_, error))) if bench.latest().state == State::Boot => Err(error.into()),
+        (Err(DaemonError::Timeout { seconds, state: "boot", .. }), _) => {
+            let why = |device: &DeviceStatistics| match device.last_error() {
+                Some(error) => Some(error.to_string()),
+                None => (device.connects.get() == 0).then(|| "no answer yet".to_owned()),
+            };
+            let lines = devices.iter().filter_map(|device| Some(format!("\n  {}: {}", device.device, why(device)?)));
+            Err(DaemonError::Boot { seconds, devices: lines.collect() })
+        }
+        (booted, _) => booted,
     }
 }
 

@@ -23,7 +23,7 @@ use crate::config::Rig;
 use crate::control::Request;
 use crate::hardware::gpio::{self, Contact, ContactWatch, GpioValve};
 use crate::hardware::wiring::I2cWiring;
-use crate::hardware::{I2cOwner, ProfileDesk, SerialOwner, ValveOwner};
+use crate::hardware::{DeviceStatistics, I2cOwner, ProfileDesk, SerialOwner, ValveOwner};
 use crate::record::Recorder;
 use crate::rt::{Schedule, Timing};
 use crate::signal::{TickRecord, Trim};
@@ -74,6 +74,7 @@ pub struct Stepped {
     trim: Input<Trim>,
     switches: Arc<Switches>,
     profiles: Profiles,
+    devices: Vec<Arc<DeviceStatistics>>,
 }
 
 /// By FREE: where its IMU's calibration profile is asked for.
@@ -93,11 +94,13 @@ impl Stepped {
         let stop = Arc::new(AtomicBool::new(false));
         let mut turns = Vec::new();
         let mut profiles = Profiles::new();
+        let mut devices = Vec::new();
         for ((index, wiring), ports) in rig.wiring.i2c.iter().enumerate().zip(i2c) {
             let Some((bus, clock)) = sim.i2c(index) else { continue };
             let mut owner = I2cOwner::new(wiring, timeout, clock, move || Ok(bus.clone()), ports);
             simulate_resets(&mut owner, &sim, index, wiring, &stepper.clock());
             note_profiles(&mut profiles, &owner);
+            devices.extend(owner.statistics());
             turns.push(I2cTurn { owner, staged: false });
         }
         let mut tasks: Vec<SerialTask> = Vec::new();
@@ -109,6 +112,7 @@ impl Stepped {
                 move || std::future::ready(SimRig::open_line(&line, &clock))
             };
             let owner = SerialOwner::new(wiring, clock, timeout, open, command, samples, Arc::clone(&stop))?;
+            devices.extend(owner.statistics().units.iter().cloned());
             tasks.push(Box::pin(owner.run()));
         }
         let valve =
@@ -135,6 +139,7 @@ impl Stepped {
             trim,
             switches,
             profiles,
+            devices,
         })
     }
 
@@ -234,6 +239,10 @@ impl Bench for Stepped {
 
     fn profile(&self, free: usize) -> Option<Arc<ProfileDesk>> {
         self.profiles.get(&free).cloned()
+    }
+
+    fn devices(&self) -> Vec<Arc<DeviceStatistics>> {
+        self.devices.clone()
     }
 
     fn pluck(&mut self, free: usize, hand: &Hand, duration: Duration) {

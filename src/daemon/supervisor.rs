@@ -328,26 +328,12 @@ impl Supervisor {
         if let (Err(error), Some(work)) = (&ended, &self.work) {
             tracing::warn!("{}: {error}", work.what);
         }
-        let ended = ended.map(Response::done).map_err(|error| self.explain(&error));
+        let ended = ended.map(Response::done).map_err(|error| Problem::from(&error));
         self.publish();
         if let Some(answer) = self.work.take().and_then(|work| work.answer) {
             // A client that did not wait for it can look at the status.
             let _ = answer.send(ended);
         }
-    }
-
-    /// The problem of an error; a rig that does not leave Boot says which device it waits for.
-    fn explain(&mut self, error: &DaemonError) -> Problem {
-        let mut problem = Problem::from(error);
-        if let DaemonError::Timeout { state: "boot", .. } = error {
-            let status = status(&self.rig, &self.live, &self.bench.latest());
-            let silent = status.frees.iter().flat_map(api::FreeStatus::devices);
-            for device in silent.filter(|device| matches!(device.health.as_str(), "absent" | "lost")) {
-                let why = device.last_error.as_deref().unwrap_or("no answer yet");
-                problem.error += &format!("\n  {}: {why}", device.device);
-            }
-        }
-        problem
     }
 
     /// What the socket asks.

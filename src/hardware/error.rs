@@ -89,6 +89,11 @@ pub enum HardwareError {
 }
 
 impl HardwareError {
+    /// Whether the device works and is refused all the same: only a person changes that.
+    pub const fn is_refusal(&self) -> bool {
+        matches!(self, Self::Unsafe { .. })
+    }
+
     /// Whether trying again without touching the device can help.
     pub const fn is_transient(&self) -> bool {
         matches!(self, Self::NoAnswer { .. } | Self::Transfer { .. } | Self::Malformed { .. })

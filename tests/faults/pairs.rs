@@ -154,7 +154,11 @@ fn a_rig_that_finds_something_wrong_at_its_start_does_not_leave_boot() {
         break_it(&s);
         let rig = s.rig.clone();
         match procedure::arm(&mut s, &rig, true) {
-            Err(DaemonError::Timeout { state: "boot", .. }) => {}
+            Err(error @ DaemonError::Boot { .. }) => {
+                // Every device that is waited for is named, once, with its reason.
+                let text = error.to_string();
+                assert!(text.lines().count() >= 2 && text.lines().skip(1).all(|line| line.contains(": ")), "{text}");
+            }
             other => panic!("{other:?}"),
         }
         s.is_vented();

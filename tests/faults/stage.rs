@@ -10,6 +10,7 @@ use freerig::config::Rig;
 use freerig::control::Request;
 use freerig::control::fault::{Reaction, row};
 use freerig::daemon::{Bench, DaemonError, Pump, Stepped, procedure};
+use freerig::hardware::DeviceStatistics;
 use freerig::record::Recorder;
 use freerig::signal::Quantity;
 use freerig::signal::{FaultCode, FaultSet, State, TickRecord, Trim};
@@ -339,6 +340,10 @@ impl Bench for Stage {
 
     fn trim(&mut self, trim: Trim) {
         self.bench.trim(trim);
+    }
+
+    fn devices(&self) -> Vec<Arc<DeviceStatistics>> {
+        self.bench.devices()
     }
 
     fn pass(&mut self, duration: Duration) -> Result<(), DaemonError> {
