@@ -11,7 +11,7 @@ use crate::ident::pluck::{
 use crate::ident::ringdown::Torsion;
 use crate::ident::{Measured, RingDownError};
 use crate::record::{Run, damping_sheet};
-use crate::sim::Hand;
+use crate::sim::{BenchConfig, Hand};
 
 /// Name of the experiment.
 pub const NAME: &str = "calibrate damping";
@@ -243,7 +243,7 @@ pub fn evaluate(rig: &Rig, subject: usize, looks: &[Look], date: &str) -> Result
     }
     facts.push(("runs".into(), looks.iter().map(|look| look.run.id()).collect::<Vec<_>>().join(", ")));
     remarks.push(axial(free.axial_stiffness, free.mass));
-    let values = enter(&found, last, date, &mut calibration, measured);
+    let values = enter(&found, last, (&rig.bench, subject), date, &mut calibration, measured);
     let named: Vec<_> = looks.iter().map(|l| (l.name(), &l.record[..], &l.releases[..], &l.fit)).collect();
     let title = format!("Damping of {}", control.name);
     let mut sheet = damping_sheet(&title, &named, last.run.start().simulated(), facts);
@@ -254,13 +254,14 @@ pub fn evaluate(rig: &Rig, subject: usize, looks: &[Look], date: &str) -> Result
 fn enter(
     found: &[(&Key, Measured, String)],
     last: &Look,
+    (bench, subject): (&BenchConfig, usize),
     date: &str,
     calibration: &mut Calibration,
     measured: impl Fn(Measured) -> Measured,
 ) -> Vec<FoundValue> {
     let residual = Some(last.fit.residual);
     let one = |(key, value, method): &(&Key, Measured, String)| {
-        let origin = Origin { run: &last.run, date, method, residual };
+        let origin = Origin { run: &last.run, bench, subject, date, method, residual };
         origin.enter(calibration, key, measured(*value), None)
     };
     found.iter().map(one).collect()

@@ -130,7 +130,7 @@ pub fn evaluate(
         points.len(),
         fit.hysteresis.value / PASCAL_PER_PSI
     );
-    let origin = Origin { run, date, method: &method, residual: Some(fit.residual) };
+    let origin = Origin { run, bench: &rig.bench, subject, date, method: &method, residual: Some(fit.residual) };
     let mut calibration = rig.calibrations[subject].clone();
     let values = vec![
         origin.enter(&mut calibration, &keys::ZERO_CODE, opening, None),

@@ -122,7 +122,7 @@ pub fn evaluate(
         |noise: f64| Measured { value: noise, uncertainty: noise / (2.0 * count).sqrt(), freedom: still.readings };
     let per = 1f64.to_degrees();
     let method = format!("differences of {} readings at rest", still.readings);
-    let origin = Origin { run: still_run, date, method: &method, residual: None };
+    let origin = Origin { run: still_run, bench: &rig.bench, subject, date, method: &method, residual: None };
     let values = vec![
         origin.enter(&mut calibration, &keys::IMU_NOISE, spread(still.noise).times(per), None),
         origin.enter(&mut calibration, &keys::IMU_DRIFT, still.drift.times(per), None),

@@ -239,7 +239,7 @@ pub fn evaluate(
         let points = weight_points(&finding.calibration, &readings.weights)?;
         let fit = fit_loads(&points).map_err(|error| refused("the weights", &error))?;
         let method = format!("least squares over {} known weights, loading and unloading", points.len());
-        let origin = Origin { run, date, method: &method, residual: Some(fit.residual) };
+        let origin = Origin { run, bench: &rig.bench, subject, date, method: &method, residual: Some(fit.residual) };
         let prediction = section.map(|s| s.0);
         let found = origin.enter(&mut finding.calibration, &keys::AXIAL_STIFFNESS, fit.stiffness, prediction);
         finding.values.push(found);

@@ -24,7 +24,8 @@ use crate::ident::pluck::PluckError;
 use crate::ident::{Measured, RingDownError, SweepError};
 use crate::model::{EquilibriumError, FreeError};
 use crate::record::{RecordError, Run, Sheet};
-use crate::units::Pressure;
+use crate::sim::BenchConfig;
+use crate::units::{PASCAL_PER_PSI, Pressure};
 
 /// What a calibration found.
 #[derive(Clone, Debug)]
@@ -77,6 +78,9 @@ fn range(values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
 /// Where new values come from.
 struct Origin<'a> {
     run: &'a Run,
+    /// What the simulated rig is made of, and which of its FREEs was measured.
+    bench: &'a BenchConfig,
+    subject: usize,
     /// `YYYY-MM-DD`.
     date: &'a str,
     method: &'a str,
@@ -85,11 +89,30 @@ struct Origin<'a> {
 }
 
 impl Origin<'_> {
+    /// What the simulated FREE has for a `key` that its calibration says nothing of yet, in the unit of the key.
+    fn nominal(&self, key: &Key) -> Option<f64> {
+        let plant = self.bench.plants.get(self.subject)?;
+        let (regulator, imu) = (&plant.regulator, &self.bench.imu);
+        let all = [
+            (&keys::EFFECTIVE_ANGLE, plant.nominal.gamma.to_degrees()),
+            (&keys::REGULATOR_LAG, regulator.lag.as_secs_f64() * 1e3),
+            (&keys::REGULATOR_DEAD_TIME, regulator.dead_time.as_secs_f64() * 1e3),
+            (&keys::FASTEST_FILL, regulator.slew / PASCAL_PER_PSI),
+            (&keys::IMU_NOISE, imu.noise.to_degrees()),
+            (&keys::IMU_DRIFT, 0.0),
+            (&keys::IMU_RATE_NOISE, imu.rate_noise.to_degrees()),
+        ];
+        all.into_iter().find(|(known, _)| known.name == key.name).map(|(_, value)| value)
+    }
+
     /// Enters `found`, in the unit of `key`, into `calibration`.
     fn enter(&self, calibration: &mut Calibration, key: &Key, found: Measured, prediction: Option<f64>) -> FoundValue {
         let before = calibration.entry(key).cloned();
         let simulated = self.run.start().simulated();
-        let nominal = before.as_ref().map_or(found.value, |b| b.simulated_nominal.unwrap_or(b.value));
+        let nominal = match &before {
+            Some(before) => before.simulated_nominal.unwrap_or(before.value),
+            None => self.nominal(key).unwrap_or(found.value),
+        };
         calibration.set(
             key,
             Entry {

@@ -61,7 +61,7 @@ pub fn evaluate(rig: &Rig, subject: usize, run: &Run, date: &str) -> Result<Find
     let staircase = fit_staircase(&stairs, &StaircaseRules::default()).map_err(|e| unfit(e.to_string()))?;
 
     let method = "least squares over steps of pressure: dead time, lag and slew limit";
-    let origin = Origin { run, date, method, residual: Some(steps.residual) };
+    let origin = Origin { run, bench: &rig.bench, subject, date, method, residual: Some(steps.residual) };
     let mut calibration = rig.calibrations[subject].clone();
     // A command waits for the bus' next look, is held until the device's next turn, and travels along the line, as the
     // reading does on its way back: all of that is known, and not the regulator's.

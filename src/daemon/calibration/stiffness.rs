@@ -104,7 +104,7 @@ pub fn evaluate(rig: &Rig, subject: usize, run: &Run, date: &str) -> Result<Find
     };
     let mut calibration = rig.calibrations[subject].clone();
     let method = format!("least squares over {} points at rest of a staircase of pressure", fit.points.len());
-    let origin = Origin { run, date, method: &method, residual: Some(fit.residual) };
+    let origin = Origin { run, bench: &rig.bench, subject, date, method: &method, residual: Some(fit.residual) };
     let kt = Measured { value: fit.stiffness, uncertainty: fit.stiffness_uncertainty, freedom: fit.points.len() };
     let prediction = prediction(&calibration);
     let found = origin.enter(&mut calibration, &keys::TORSIONAL_STIFFNESS, kt, prediction);
