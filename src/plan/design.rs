@@ -23,6 +23,9 @@ pub struct Design {
     pub blocked: Vec<Option<Equilibrium>>,
     /// Where a blocked FREE's path ends, if it does within the pressures.
     pub blocked_limit: Option<Limit>,
+    /// Pressure (Pa) beyond which the rubber of the blocked one may fold at the strip's end: what stands there is of
+    /// rubber that has not, and so is the error ([`crate::fem::section::Curve::folds_beyond`]).
+    pub folds_beyond: Option<f64>,
     /// Largest estimated relative discretisation error of both.
     pub error: f64,
 }
@@ -91,28 +94,35 @@ pub fn designs(
 /// # Errors
 /// No tube, or a path that fails otherwise than at a limit.
 pub fn design(tube: &Tube, pressures: &[f64], tolerance: f64) -> Result<Design, SectionError> {
-    let (free, free_limit, free_error) = path(tube, pressures, Ends::FREE, tolerance)?;
-    let (blocked, blocked_limit, blocked_error) = path(tube, pressures, Ends::BLOCKED, tolerance)?;
-    Ok(Design { tube: *tube, free, free_limit, blocked, blocked_limit, error: free_error.max(blocked_error) })
+    let Path { points: free, limit: free_limit, error: free_error, .. } = path(tube, pressures, Ends::FREE, tolerance)?;
+    let Path { points: blocked, limit: blocked_limit, error, folds_beyond } =
+        path(tube, pressures, Ends::BLOCKED, tolerance)?;
+    let error = free_error.max(error);
+    Ok(Design { tube: *tube, free, free_limit, blocked, blocked_limit, folds_beyond, error })
 }
 
-type Path = (Vec<Option<Equilibrium>>, Option<Limit>, f64);
+struct Path {
+    points: Vec<Option<Equilibrium>>,
+    limit: Option<Limit>,
+    error: f64,
+    folds_beyond: Option<f64>,
+}
 
 fn path(tube: &Tube, pressures: &[f64], ends: Ends, tolerance: f64) -> Result<Path, SectionError> {
     let curve = curve_within(tube, pressures, ends, tolerance)?;
-    let (error, mut end) = (curve.error.unwrap_or(0.0), None);
+    let (error, folds_beyond, mut limit) = (curve.error.unwrap_or(0.0), curve.folds_beyond, None);
     let mut points = Vec::with_capacity(pressures.len());
     for point in curve.points {
         points.push(match point {
             Ok(found) => Some(found),
-            Err(SectionError::BeyondLimit { limit, .. }) => {
-                end = Some(limit);
+            Err(SectionError::BeyondLimit { limit: end, .. }) => {
+                limit = Some(end);
                 None
             }
             Err(error) => return Err(error),
         });
     }
-    Ok((points, end, error))
+    Ok(Path { points, limit, error, folds_beyond })
 }
 
 /// The design that gets farthest with `aim` at the pressure of that index; none where no design has an equilibrium.

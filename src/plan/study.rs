@@ -53,7 +53,7 @@ pub struct Row {
     pub lift: Option<f64>,
     /// Estimated relative discretisation error of the section's curves.
     pub error: Option<f64>,
-    /// Why something is missing; empty where nothing is.
+    /// Why something is missing, or less sure than was asked; empty where nothing is.
     pub remark: String,
 }
 
@@ -76,6 +76,14 @@ pub fn rows(candidate: &Candidate, question: &Question) -> Vec<Row> {
                     if let (None, Some(limit)) = (found, limit) {
                         remarks.push(format!("{what}: {} at {:.0} Pa", limit.kind, limit.pressure));
                     }
+                }
+                if let Some(beyond) = design.folds_beyond.filter(|beyond| pressure > *beyond && blocked.is_some()) {
+                    remarks
+                        .push(format!("blocked: as if the rubber did not fold, which it may from {beyond:.0} Pa on"));
+                }
+                if design.error > question.tolerance {
+                    let (error, wanted) = (100.0 * design.error, 100.0 * question.tolerance);
+                    remarks.push(format!("the finest mesh leaves {error:.2} %, and {wanted} % was asked for"));
                 }
             }
         }

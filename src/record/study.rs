@@ -31,8 +31,10 @@ use crate::fem::material::Law;
 use crate::fem::tube::Tube;
 use crate::plan::study::{Candidate, Row};
 
-/// Designs of a piece: some seconds of one core.
+/// Most designs of a piece: some seconds of one core.
 const PIECE: usize = 16;
+/// Pieces that a small study has at least, as far as it has designs: shares are made of whole ones.
+const PIECES: usize = 64;
 
 /// What is asked, as study.toml has it. SI units.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -134,12 +136,18 @@ impl Study {
 
     /// Number of pieces.
     pub fn pieces(&self) -> usize {
-        self.document.designs.div_ceil(PIECE)
+        self.document.designs.div_ceil(self.piece())
+    }
+
+    /// Designs of a piece.
+    fn piece(&self) -> usize {
+        (self.document.designs / PIECES).clamp(1, PIECE)
     }
 
     /// The designs of `piece`.
     pub fn designs(&self, piece: usize) -> std::ops::Range<usize> {
-        (piece * PIECE).min(self.document.designs)..((piece + 1) * PIECE).min(self.document.designs)
+        let all = self.document.designs;
+        (piece * self.piece()).min(all)..((piece + 1) * self.piece()).min(all)
     }
 
     /// Whether `piece` is there.

@@ -97,6 +97,16 @@ struct Best {
     paper: Option<f64>,
 }
 
+/// A design, SI, and a figure of it.
+#[derive(Debug, Serialize)]
+struct Noted {
+    value: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    discretisation_error_estimate: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    beyond_pa: Option<f64>,
+}
+
 #[derive(Debug, Serialize)]
 struct Report {
     parameter: &'static str,
@@ -110,7 +120,12 @@ struct Report {
     /// Where free extension changes its sign, SI.
     neutral: Option<f64>,
     paper_neutral: Option<f64>,
+    tolerance: f64,
     discretisation_error_estimate: f64,
+    /// Designs whose error the finest mesh leaves above the tolerance.
+    missed: Vec<Noted>,
+    /// Designs whose rubber may fold at the strip's end when they are blocked, and beyond which pressure.
+    folds: Vec<Noted>,
     rows: Vec<Row>,
     wall_time_s: f64,
     report: String,
@@ -171,6 +186,11 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     let ended = |of: fn(&Design) -> &Vec<Option<Equilibrium>>| -> Vec<f64> {
         computed.iter().filter(|d| of(d)[last].is_none()).map(|d| value_of(parameter, d)).collect()
     };
+    let noted = |design: &Design, discretisation_error_estimate, beyond_pa| Noted {
+        value: value_of(parameter, design),
+        discretisation_error_estimate,
+        beyond_pa,
+    };
     let mut report = Report {
         free_ended: ended(|d| &d.free),
         blocked_ended: ended(|d| &d.blocked),
@@ -180,6 +200,13 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
         best: best.collect(),
         neutral: neutral(&computed, last, |d| value_of(parameter, d)),
         paper_neutral: in_paper.then_some(54.7356f64.to_radians()),
+        tolerance: args.tolerance.si(),
+        missed: computed
+            .iter()
+            .filter(|d| d.error > args.tolerance.si())
+            .map(|d| noted(d, Some(d.error), None))
+            .collect(),
+        folds: computed.iter().filter(|d| d.folds_beyond.is_some()).map(|d| noted(d, None, d.folds_beyond)).collect(),
         discretisation_error_estimate: computed.iter().map(|d| d.error).fold(0.0, f64::max),
         rows: rows(&computed, parameter, &pressures),
         wall_time_s: begun.elapsed().as_secs_f64(),
@@ -258,10 +285,24 @@ impl Report {
             "at".into(),
             format!("{:.2}, length {:.0}", Pressure::pascals(self.pressure_pa), Length::metres(self.length_m)),
         ));
-        facts.push((
-            "discretisation error, estimated".into(),
-            format!("{:.2} %", 100.0 * self.discretisation_error_estimate),
-        ));
+        let (most, wanted) = (100.0 * self.discretisation_error_estimate, 100.0 * self.tolerance);
+        facts.push(("discretisation error, estimated".into(), format!("at most {most:.2} %")));
+        if !self.missed.is_empty() {
+            let each = self.missed.iter().map(|d| {
+                format!("{} ({:.2} %)", show(d.value), 100.0 * d.discretisation_error_estimate.unwrap_or(f64::NAN))
+            });
+            let each = each.collect::<Vec<_>>().join(", ");
+            facts.push((format!("tolerance of {wanted} % missed, on the finest mesh there is"), each));
+        }
+        if !self.folds.is_empty() {
+            let each = self.folds.iter().map(|d| {
+                let beyond = d.beyond_pa.unwrap_or(f64::NAN);
+                format!("{} beyond {:.2}", show(d.value), Pressure::pascals(beyond))
+            });
+            let what = "; there the blocked values, and their error, are of rubber that has not folded at the edge of the \
+                        fibre's strip: `freerig model single --ends blocked` says how much less it bears then";
+            facts.push(("blocked ones fold".into(), each.collect::<Vec<_>>().join(", ") + what));
+        }
         facts.push(("time".into(), format!("{:.2} s", self.wall_time_s)));
         facts
     }
