@@ -211,6 +211,14 @@ fn limits_are_held_to_their_order() {
         "order",
         "tested",
     );
+    // One wrong number is answered with its own correction, not with three others that would go along with it.
+    one_problem(
+        "max_pressure_psi = 10 ",
+        "max_pressure_psi = 99 ",
+        &format!("{limits}.max_pressure_psi"),
+        "below proof_pressure_psi, 15.00 psi",
+        "for example 7.5",
+    );
     one_problem(
         "full_scale_psi = 15",
         "full_scale_psi = 10.8",

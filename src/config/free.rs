@@ -430,20 +430,29 @@ fn read_limits(mut section: Section<'_>, full_scale: f64) -> Limits {
     let proof = section.number("proof_pressure_psi", None, psi);
     let order = "max_pressure_psi < warn_pressure_psi < hard_pressure_psi < proof_pressure_psi";
     // A comparison with a stand-in (NaN) is false: what has been noted is not noted again.
-    if warn <= max {
+    let beyond_proof = max >= proof;
+    if beyond_proof {
+        // The other limits are right beside the proof pressure: not they are to follow this one.
+        section.reject(
+            "max_pressure_psi",
+            format!("must be below proof_pressure_psi, {}: what the FREE has been tested to", psi_text(proof)),
+            format!("check it; write a working pressure well below, for example {:.1}", 0.5 * proof / PASCAL_PER_PSI),
+        );
+    }
+    if warn <= max && !beyond_proof {
         section.reject("warn_pressure_psi", format!("must be in the order {order}"), higher(max, 0.5));
     }
-    if hard <= warn {
+    if hard <= warn && !beyond_proof {
         section.reject("hard_pressure_psi", format!("must be in the order {order}"), higher(warn, 0.5));
     }
-    if proof <= hard {
+    if proof <= hard && !beyond_proof {
         section.reject(
             "proof_pressure_psi",
             format!("must be in the order {order}; hard_pressure_psi is {}", psi_text(hard)),
             "lower the other limits: the proof pressure is what the FREE has been tested to",
         );
     }
-    if full_scale < hard {
+    if full_scale < hard && (section.has("hard_pressure_psi") || !beyond_proof) {
         let rule = format!(
             "must be within the full scale of {} of the regulator and of what measures it: it could not be seen",
             psi_text(full_scale)

@@ -129,7 +129,11 @@ impl BenchSuite {
     }
 
     pub(super) fn plot(&self) -> Plot {
-        let line = |(i, (label, x, y)): (usize, &Curve)| Line::new(label, COLORS[i % COLORS.len()], x, y.clone());
+        let line = |(i, (label, x, y)): (usize, &Curve)| Line {
+            // Once the colours have been through.
+            dashed: i / COLORS.len() % 2 == 1,
+            ..Line::new(label, COLORS[i % COLORS.len()], x, y.clone())
+        };
         Plot {
             x_label: self.x_label.into(),
             y_label: self.y_label.into(),

@@ -54,12 +54,19 @@ fn plane(
     target: &Target,
 ) -> Plot {
     let (left, right) = (-1.6 * reach, 0.5 * reach);
+    let (dx, dy) = (0.006 * (right - left), 0.03 * reach);
     let inside = |z: &Complex<f64>| (left..right).contains(&z.re) && z.im.abs() <= reach;
     let mut lines = Vec::new();
     for (i, branch) in branches(points.iter().map(pick)).into_iter().enumerate() {
         let y = branch.iter().map(|z| if inside(z) { z.im } else { f64::NAN }).collect();
         let x: Vec<f64> = branch.iter().map(|z| z.re).collect();
-        lines.push(Line::new("", BRANCHES[i % BRANCHES.len()], &x, y));
+        let color = BRANCHES[i % BRANCHES.len()];
+        lines.push(Line::new("", color, &x, y));
+        // A pole that a zero of the controller holds stays where it is, and its branch would not be seen.
+        if let Some(first) = branch.first().filter(|first| branch.iter().all(|z| (*z - **first).norm() < dx)) {
+            let y = if inside(first) { first.im } else { f64::NAN };
+            lines.push(Line::new("", color, &[first.re - 2.0 * dx, first.re + 2.0 * dx], vec![y; 2]).width(4));
+        }
     }
     let slope = (1.0 - target.damping * target.damping).sqrt() / target.damping.max(1e-6);
     let far = (reach / slope).min(-left);
@@ -67,7 +74,6 @@ fn plane(
     lines.push(Line::new(&wanted, palette::GREY, &[-far, 0.0, -far], vec![far * slope, 0.0, -far * slope]).dashed());
     lines.push(Line::new("edge of stability", palette::RED, &[0.0, 0.0], vec![-reach, reach]).width(1));
     for z in here.iter().filter(|z| inside(z)) {
-        let (dx, dy) = (0.006 * (right - left), 0.03 * reach);
         for sign in [1.0, -1.0] {
             let y = vec![z.im - sign * dy, z.im + sign * dy];
             lines.push(Line::new("", palette::RED, &[z.re - dx, z.re + dx], y));
@@ -110,6 +116,26 @@ fn branches<'a>(poles: impl Iterator<Item = &'a Vec<Complex<f64>>>) -> Vec<Vec<C
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_cross_on_a_pole_that_a_zero_holds_lies_on_a_line_that_is_seen() {
+        // One pole stands at -17.2, the other goes to the left with the gain.
+        let at = |factor: f64| vec![Complex::new(-17.2, 0.0), Complex::new(-1.0 - 10.0 * factor, 0.0)];
+        let point = |factor: f64| LocusPoint { factor, ideal: at(factor), extended: Vec::new() };
+        let points: Vec<_> = (1..100).map(|i| point(0.05 * f64::from(i))).collect();
+        let plot = plane(&points, |p| &p.ideal, &at(1.0), 60.0, &Target::PID);
+        let pixel = 2.1 * 60.0 / 850.0;
+        for pole in at(1.0) {
+            let seen = plot.lines.iter().filter(|l| l.rgb != palette::RED && l.rgb != palette::GREY).any(|line| {
+                let there = |(x, y): (&f64, &f64)| (Complex::new(*x, *y) - pole).norm() < 15.0 * pixel;
+                let near: Vec<f64> = line.x.iter().zip(&line.y).filter(|p| there(*p)).map(|(x, _)| *x).collect();
+                let (low, high) =
+                    (near.iter().fold(pole.re, |a, x| a.min(*x)), near.iter().fold(pole.re, |a, x| a.max(*x)));
+                high - low > 3.0 * pixel
+            });
+            assert!(seen, "{pole}");
+        }
+    }
 
     #[test]
     fn branches_are_continuous_whatever_the_order_of_the_poles() {

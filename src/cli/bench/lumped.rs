@@ -135,7 +135,11 @@ fn beside(
             rows.push(answer.row(SUITE, &name, error));
             theirs.extend(answer.timed(&name, error));
         }
-        curves.push(Timed::curve(format!("{name}, {}", case.name), &theirs));
+        for method in PEERS {
+            let whose = format!("{name}, {method},");
+            let found: Vec<Timed> = theirs.iter().filter(|t| t.who.starts_with(&whose)).cloned().collect();
+            curves.push(Timed::curve(format!("{whose} {}", case.name), &found));
+        }
         claims.extend(LEVELS.iter().filter_map(|level| claim(case.name, *level, own, &theirs)));
     }
     Ok(claims)
