@@ -15,6 +15,7 @@
 use nalgebra::{Matrix3, Matrix6, Quaternion, UnitQuaternion, Vector3};
 
 use crate::fem::module::State;
+use crate::signal::mounting;
 
 /// What is not known, as standard deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,13 +45,6 @@ pub fn turned(axis: [f64; 3], rest: [f64; 4], now: [f64; 4]) -> Option<UnitQuate
     let (rest, now) = (unit(rest)?, unit(now)?);
     let sensor = mounting(axis);
     Some(sensor.inverse() * (rest.inverse() * now) * sensor)
-}
-
-/// How a sensor is mounted in whose frame z of what carries it is `axis`: the short way, from the carrier's frame to the
-/// sensor's; opposite directions have none, and turn about x.
-pub fn mounting(axis: [f64; 3]) -> UnitQuaternion<f64> {
-    UnitQuaternion::rotation_between(&Vector3::z(), &axis.into())
-        .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
 }
 
 /// An estimate of the plate's centre.

@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 
 use super::Result;
-use super::canvas::{AXIS, FONT, GRID, LEFT, LEGEND_ROW, Mark, TEXT, WIDTH, color, fluid, legend, plot_error, span};
+use super::canvas::{LEFT, LEGEND_ROW, Mark, WIDTH, color, fluid, legend, plot_error, span, styled};
 
 /// One bar: from, to, count.
 pub type Bar = (f64, f64, u64);
@@ -40,12 +40,7 @@ impl Bars {
                 .y_label_area_size(LEFT)
                 .build_cartesian_2d(x.log_scale(), (0.7..most * 1.5).log_scale())
                 .map_err(plot_error)?;
-            chart
-                .configure_mesh()
-                .light_line_style(TRANSPARENT)
-                .bold_line_style(GRID)
-                .axis_style(AXIS)
-                .label_style((FONT, 13).into_font().color(&TEXT))
+            styled(&mut chart.configure_mesh())
                 .x_label_formatter(&|v| format!("{v}"))
                 .y_label_formatter(&|v| format!("{v}"))
                 .x_desc(self.x_label.as_str())

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use plotters::chart::MeshStyle;
 use plotters::coord::Shift;
 use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
 use plotters::coord::types::RangedCoordf64;
@@ -17,8 +18,8 @@ pub(super) const LEFT: u32 = 64;
 pub(super) const LEGEND_ROW: u32 = 22;
 pub(super) const FONT: &str = "system-ui, sans-serif";
 
-pub(super) const GRID: RGBColor = RGBColor(0xE3, 0xE6, 0xEA);
-pub(super) const AXIS: RGBColor = RGBColor(0xA0, 0xA7, 0xB0);
+const GRID: RGBColor = RGBColor(0xE3, 0xE6, 0xEA);
+const AXIS: RGBColor = RGBColor(0xA0, 0xA7, 0xB0);
 pub(super) const TEXT: RGBColor = RGBColor(0x3A, 0x42, 0x4C);
 
 pub(super) fn color(rgb: u32) -> RGBColor {
@@ -98,16 +99,17 @@ pub(super) fn legend_rows<'a>(labels: impl Iterator<Item = &'a String>) -> usize
 pub(super) type Chart<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<Axis, Axis>>;
 
 pub(super) fn mesh(chart: &mut Chart<'_, '_>, x: &str, y: &str) -> Result<()> {
-    chart
-        .configure_mesh()
-        .light_line_style(TRANSPARENT)
+    styled(&mut chart.configure_mesh()).x_desc(x).y_desc(y).draw().map_err(plot_error)
+}
+
+/// `mesh` with the lines and labels that every plot has.
+pub(super) fn styled<'m, 'a, 'b, X: Ranged, Y: Ranged, D: DrawingBackend>(
+    mesh: &'m mut MeshStyle<'a, 'b, X, Y, D>,
+) -> &'m mut MeshStyle<'a, 'b, X, Y, D> {
+    mesh.light_line_style(TRANSPARENT)
         .bold_line_style(GRID)
         .axis_style(AXIS)
         .label_style((FONT, 13).into_font().color(&TEXT))
-        .x_desc(x)
-        .y_desc(y)
-        .draw()
-        .map_err(plot_error)
 }
 
 /// An axis whose marks are written with as many digits as their distance needs.

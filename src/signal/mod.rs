@@ -4,9 +4,11 @@
 //! SI units throughout: Pa (gauge), rad, rad/s, s. Signs as in [`crate::model`].
 
 mod code;
+mod mounting;
 mod sample;
 
 pub use code::{FaultCode, FaultSet, LimitSet, Refusal, RefusalCode, RequestKind, State};
+pub use mounting::mounting;
 pub use sample::{ImuHealth, ImuSample, PressureSample, RegulatorHealth, RegulatorStatus};
 use serde::{Deserialize, Serialize};
 

@@ -23,7 +23,7 @@ use crate::clock::Clock;
 use crate::hardware::HardwareError;
 use crate::hardware::gpio::{Contact, GpioValve, OpenPin};
 use crate::hardware::wiring::{AdcWiring, DacWiring, ImuWiring, SerialWiring, Wiring};
-use crate::plan::observer::mounting;
+use crate::signal::mounting;
 
 /// The buses run at the Linux default.
 const I2C_HERTZ: u32 = 100_000;
