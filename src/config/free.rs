@@ -460,6 +460,8 @@ fn read_limits(mut section: Section<'_>, full_scale: f64) -> Limits {
         let key = if section.has("hard_pressure_psi") { "hard_pressure_psi" } else { "max_pressure_psi" };
         section.reject(key, rule, "lower it, or use a regulator of a wider range");
     }
+    // Nothing else is held to a value that is refused.
+    let max = if beyond_proof { f64::NAN } else { max };
     let zero = section.number("zero_pressure_psi", 0.2, 0.01..=2.0);
     if max <= zero {
         section.reject("zero_pressure_psi", "must be below max_pressure_psi", "write a lower value, for example 0.2");
