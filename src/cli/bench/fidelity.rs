@@ -1,8 +1,10 @@
 //! How honest `auto` is and what it costs, on seeded scenes whose truth is known; and the table of its certified range.
 //!
 //! Scenes and truth are those of [`crate::fem::fidelity::suite`]. The table is made of other scenes than those on which
-//! the choice is judged. `certified.csv` in the runs' folder is the one to be stored as src/fem/fidelity/certified.csv.
+//! the choice is judged. `certified.csv` in the runs' folder is the one to be stored as src/fem/fidelity/certified.csv;
+//! `fidelity-scenes.csv` has every scene that judges.
 
+use std::fmt::Write as _;
 use std::time::Instant;
 
 use super::{Size, in_parallel, quantile, row};
@@ -25,6 +27,7 @@ const DASH: f64 = 0.012;
 
 /// What one scene says.
 struct Told {
+    seed: u64,
     tolerance: f64,
     /// True error and time, s, of every tier.
     tiers: Vec<(f64, f64)>,
@@ -44,9 +47,11 @@ pub(super) fn run(size: &Size) -> Result<BenchSuite, Failure> {
     let (mut rows, mut curves) = (Vec::new(), Vec::new());
     judge(&told, &mut rows, &mut facts);
     draw(&told, &mut curves);
+    let folder = &size.rig.record.directory;
+    std::fs::create_dir_all(folder)?;
+    std::fs::write(folder.join("fidelity-scenes.csv"), list(&told))?;
     let made = certify(PER_JUDGE * count)?;
-    std::fs::create_dir_all(&size.rig.record.directory)?;
-    let path = size.rig.record.directory.join("certified.csv");
+    let path = folder.join("certified.csv");
     std::fs::write(&path, made)?;
     facts.push(("table of the certified range".into(), path.display().to_string()));
     facts.push(("wall time".into(), format!("{:.1} s", start.elapsed().as_secs_f64())));
@@ -85,7 +90,24 @@ fn told(seed: u64) -> Result<Option<Told>, Failure> {
         Err(FidelityError::NotReached { .. }) => None,
         Err(error) => return Err(error.into()),
     };
-    Ok(Some(Told { tolerance, tiers, choice, time }))
+    Ok(Some(Told { seed, tolerance, tiers, choice, time }))
+}
+
+/// A line for every scene: error and time of every tier, the choice with its estimate, true error and time.
+fn list(told: &[Told]) -> String {
+    let tiers = TIERS.map(|tier| format!("{0}_error,{0}_time_s", tier.name())).join(",");
+    let mut text = format!("seed,tolerance,{tiers},chosen,estimate,error,time_s\n");
+    for Told { seed, tolerance, tiers, choice, time } in told {
+        let _ = write!(text, "{seed},{tolerance:.4e}");
+        for (error, time) in tiers {
+            let _ = write!(text, ",{error:.4e},{time:.4e}");
+        }
+        let _ = match choice {
+            Some((tier, estimate, error)) => writeln!(text, ",{},{estimate:.4e},{error:.4e},{time:.4e}", tier.name()),
+            None => writeln!(text, ",,,,{time:.4e}"),
+        };
+    }
+    text
 }
 
 fn judge(told: &[Told], rows: &mut Vec<BenchRow>, facts: &mut Vec<(String, String)>) {

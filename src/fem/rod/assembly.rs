@@ -169,7 +169,7 @@ impl Assembly {
             self.energy_by_pressure += weight * density.by_pressure;
             self.cavity.push([-density.by_pressure, x.du.z]);
             let (stress, slope) = (density.stress * weight, density.stress_by_pressure * weight);
-            let tangent = density.tangent * weight;
+            let tangent: [[f64; STRAINS]; STRAINS] = (density.tangent * weight).into();
             for (m, p) in phi.iter().enumerate() {
                 for i in 0..STRAINS {
                     self.internal[STRAINS * m + i] += p * stress[i];
@@ -177,9 +177,9 @@ impl Assembly {
                 }
                 for (o, other) in phi.iter().enumerate().skip(m) {
                     let share = p * other;
-                    for i in 0..STRAINS {
+                    for (i, column) in tangent.iter().enumerate() {
                         let row = &mut self.hessian[(STRAINS * m + i) * n + STRAINS * o..][..STRAINS];
-                        for (entry, t) in row.iter_mut().zip(&tangent.column(i)) {
+                        for (entry, t) in row.iter_mut().zip(column) {
                             *entry += share * t;
                         }
                     }

@@ -148,20 +148,24 @@ impl DualMatrix {
         DualVector { re: self.re * v.re, du: self.re * v.du + self.du * v.re }
     }
 
+    #[inline]
     pub fn transpose_apply(&self, v: &DualVector) -> DualVector {
         DualVector { re: self.re.tr_mul(&v.re), du: self.re.tr_mul(&v.du) + self.du.tr_mul(&v.re) }
     }
 
     /// `self^T o`.
+    #[inline]
     pub fn transpose_mul(&self, o: &DualMatrix) -> DualMatrix {
         DualMatrix { re: self.re.tr_mul(&o.re), du: self.re.tr_mul(&o.du) + self.du.tr_mul(&o.re) }
     }
 
+    #[inline]
     pub fn scaled(&self, s: f64) -> DualMatrix {
         DualMatrix { re: self.re * s, du: self.du * s }
     }
 
     /// `self += s o`.
+    #[inline]
     pub fn add_scaled(&mut self, s: f64, o: &DualMatrix) {
         self.re += o.re * s;
         self.du += o.du * s;
@@ -170,6 +174,7 @@ impl DualMatrix {
 
 impl Add for DualMatrix {
     type Output = DualMatrix;
+    #[inline]
     fn add(self, o: DualMatrix) -> DualMatrix {
         DualMatrix { re: self.re + o.re, du: self.du + o.du }
     }
@@ -177,6 +182,7 @@ impl Add for DualMatrix {
 
 impl Mul for DualMatrix {
     type Output = DualMatrix;
+    #[inline]
     fn mul(self, o: DualMatrix) -> DualMatrix {
         DualMatrix { re: self.re * o.re, du: self.re * o.du + self.du * o.re }
     }

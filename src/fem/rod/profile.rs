@@ -179,18 +179,28 @@ impl Isobaric<'_> {
         let x = powers((stretch - skew[0] * twist - self.shift - middle[0]) / half[0]);
         let y = powers((twist - middle[1]) / half[1]);
         let [mut f, mut fx, mut fy, mut fxx, mut fxy, mut fyy, mut fz, mut fxz, mut fyz] = [0.0; 9];
-        for (k, [a, b]) in PAIRS.into_iter().enumerate() {
-            let (c, d) = (self.coefficients[0][k], self.coefficients[1][k]);
-            let (value, by_x, by_y) = (x[0][a] * y[0][b], x[1][a] * y[0][b], x[0][a] * y[1][b]);
-            f += c * value;
-            fx += c * by_x;
-            fy += c * by_y;
-            fxx += c * x[2][a] * y[0][b];
-            fxy += c * x[1][a] * y[1][b];
-            fyy += c * x[0][a] * y[2][b];
-            fz += d * value;
-            fxz += d * by_x;
-            fyz += d * by_y;
+        let mut next = 0;
+        for a in 0..POWERS {
+            // The polynomial of the twist that multiplies this power of the stretch: value and derivatives.
+            let [mut c, mut cy, mut cyy, mut d, mut dy] = [0.0; 5];
+            for b in 0..POWERS.min(TOTAL + 1 - a) {
+                let (value, slope) = (self.coefficients[0][next], self.coefficients[1][next]);
+                c += value * y[0][b];
+                cy += value * y[1][b];
+                cyy += value * y[2][b];
+                d += slope * y[0][b];
+                dy += slope * y[1][b];
+                next += 1;
+            }
+            f += x[0][a] * c;
+            fx += x[1][a] * c;
+            fxx += x[2][a] * c;
+            fy += x[0][a] * cy;
+            fxy += x[1][a] * cy;
+            fyy += x[0][a] * cyy;
+            fz += x[0][a] * d;
+            fxz += x[1][a] * d;
+            fyz += x[0][a] * dy;
         }
         let (h, k) = (1.0 / half[0], 1.0 / half[1]);
         let (fx, fy, fxx, fxy, fyy) = (fx * h, fy * k, fxx * h * h, fxy * h * k, fyy * k * k);

@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use freerig::clock::{Stepper, Time};
 
-/// Between two questions.
-pub const STEP: Duration = Duration::from_millis(2);
+/// Between two questions: each of them takes the emulator from its work.
+pub const STEP: Duration = Duration::from_millis(5);
 /// Frequency of the timer, Hz, and its range (ACPI specification, 4.8.3.3).
 const FREQUENCY: u64 = 3_579_545;
 const RANGE: u64 = 1 << 24;
