@@ -9,7 +9,7 @@ use std::process::Command;
 /// A picture: its file, its title, the command that draws it, the page where it then stands, and the caption there.
 type Picture = (&'static str, &'static str, &'static [&'static str], &'static str, &'static str);
 
-const PICTURES: [Picture; 4] = [
+const PICTURES: [Picture; 5] = [
     (
         "trajectory.svg",
         "The paper's trajectory on the simulated rig, before anything has been measured",
@@ -37,6 +37,13 @@ const PICTURES: [Picture; 4] = [
         &["--rig", "experiments/module/rig.toml", "plan", "whisk", "--output", "whisk.toml"],
         "plan-whisk-eight.html",
         "Way of the plate's centre, from above",
+    ),
+    (
+        "work-precision.svg",
+        "Rods with known answers: error against time",
+        &["bench", "--rods"],
+        "bench-rods.html",
+        "Error against time",
     ),
 ];
 

@@ -44,20 +44,23 @@ fn smeared_fibres_turn_too_far_by_what_physics_says_of_them() {
 
 #[test]
 fn the_certified_range_is_what_the_seeded_scenes_say() {
-    // A few buckets of the stored table: its largest errors are those of the seeds that it names, to its last digit, and
-    // another scene of the bucket has no larger ones.
-    for bucket in [9, 12, 24, 27] {
+    // Buckets of the stored table: its largest errors are those of the scenes that it names, on the cheap mesh or on the
+    // fine one, to its last digit; another scene of the bucket has no larger ones.
+    for bucket in [12, 27] {
         let row = Row::stored(bucket).unwrap_or_else(|| panic!("{:?} is certified", Bucket::of_seed(bucket as u64)));
         assert!(row.scenes >= 19, "{row:?}");
-        let errors = |seed: u64| suite::errors(&Scene::seeded(seed).0).unwrap().unwrap();
-        for ((stored, seed), found) in [(row.linear, errors(row.linear.1).0), (row.ends, errors(row.ends.1).1)] {
+        let errors = |seed: u64, fine: bool| suite::errors(&Scene::seeded(seed).0, fine).unwrap().unwrap();
+        let both = |seed: u64| [errors(seed, false), errors(seed, true)];
+        let [linear, ends] = [both(row.linear.1).map(|e| e.0), both(row.ends.1).map(|e| e.1)];
+        for ((stored, seed), found) in [(row.linear, linear), (row.ends, ends)] {
             assert_eq!(seed % BUCKETS as u64, bucket as u64);
+            let found = found[0].max(found[1]);
             assert!(
                 (found - stored).abs() < 1e-5 * (1.0 + stored),
                 "bucket {bucket}, seed {seed}: {found} for {stored}"
             );
         }
-        let (linear, ends) = errors(bucket as u64);
+        let (linear, ends) = errors(bucket as u64, false);
         assert!(linear <= row.linear.0 + 1e-5 && ends <= row.ends.0 + 1e-5, "{bucket}: {linear} {ends} {row:?}");
     }
 }

@@ -99,6 +99,20 @@ impl Row {
         Some(Row { scenes: known.len(), linear: most(|e| e.0), ends: most(|e| e.1) })
     }
 
+    /// Takes the largest errors for what `fine` computes of their scenes, where it is more.
+    ///
+    /// # Errors
+    /// As `fine`.
+    pub fn refine<E>(&mut self, fine: impl Fn(u64) -> Result<Option<(f64, f64)>, E>) -> Result<(), E> {
+        if let Some((linear, _)) = fine(self.linear.1)? {
+            self.linear.0 = self.linear.0.max(linear);
+        }
+        if let Some((_, ends)) = fine(self.ends.1)? {
+            self.ends.0 = self.ends.0.max(ends);
+        }
+        Ok(())
+    }
+
     fn parse(line: &str) -> Option<Row> {
         let fields: Vec<&str> = line.split(',').collect();
         let row = Row {

@@ -24,6 +24,7 @@
 pub mod certified;
 mod choice;
 mod error;
+mod joined;
 mod module;
 pub mod suite;
 mod tiers;

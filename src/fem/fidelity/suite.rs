@@ -4,11 +4,7 @@
 //! pressure. All are drawn evenly over their ranges (those that are ratios, over their logarithm), the winding angle
 //! and the pressure over a [bucket](super::certified) that the seed chooses: every bucket is met equally often.
 //!
-//! The truth is put together from the two models that are exact where they are fine enough: the long tube on the
-//! section's finest mesh that has not folded, and what the ends add, from a solid. Of a free tube that is the whole's
-//! mean motion less the motion at mid-length, in which the error that its elements make across the tube cancels. Of a
-//! blocked one, the middle stretches and turns a little between ends that do not: the force is that of the section held
-//! at the stretch and twist of the solid's middle.
+//! The truth is [joined](super::joined) of the section's finest mesh that has not folded, and a solid's ends.
 
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -17,11 +13,10 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::certified::Bucket;
-use super::{Fidelity, FidelityError, Hold, Point, Rest, Scene, ask, difference};
-use crate::fem::ends::{End, Ends, Equilibrium};
+use super::joined::{Joined, joined};
+use super::{Fidelity, FidelityError, Point, Scene, ask, difference};
 use crate::fem::material::Law;
-use crate::fem::section::{Mesh, Section, SectionError};
-use crate::fem::solid::{self, Solid, SolidEquilibrium, Tip};
+use crate::fem::solid::{self, Solid, Tip};
 use crate::fem::tube::Tube;
 
 /// Section levels from which the truth and the table's far field are taken: the first one that has not folded.
@@ -91,18 +86,23 @@ impl Scene {
 /// # Errors
 /// As the section and the solid.
 pub fn truth(scene: &Scene) -> Result<Option<Vec<Point>>, FidelityError> {
+    Ok(best(scene)?.map(|joined| joined.whole))
+}
+
+fn best(scene: &Scene) -> Result<Option<Joined>, FidelityError> {
     let radius = scene.tube.outer_radius();
     let mesh = solid::Mesh { wall: 2, first: 0.03 * radius, along_growth: 1.6, ..across(&scene.tube) };
-    Ok(parts(scene, &mesh, &FINE)?.map(|parts| parts.whole))
+    parts(scene, &mesh, &FINE)
 }
 
 /// What the linear law has more of an error than the section, and the section's own times the length over the outer
-/// radius; none as [`truth`].
+/// radius; none as [`truth`]. On its mesh if `fine`, else on one that is some hundredths off, for a tenth of the time.
 ///
 /// # Errors
 /// As the section and the solid.
-pub fn errors(scene: &Scene) -> Result<Option<(f64, f64)>, FidelityError> {
-    let Some(Parts { far, whole }) = parts(scene, &across(&scene.tube), &USUAL)? else { return Ok(None) };
+pub fn errors(scene: &Scene, fine: bool) -> Result<Option<(f64, f64)>, FidelityError> {
+    let found = if fine { best(scene) } else { parts(scene, &across(&scene.tube), &USUAL) };
+    let Some(Joined { far, whole }) = found? else { return Ok(None) };
     let linear = ask(scene, Fidelity::Linear, &mut |_| {})?;
     let ends = difference(&far, &whole, scene);
     let more = difference(&linear.points, &whole, scene) - ends;
@@ -125,53 +125,11 @@ fn across(tube: &Tube) -> solid::Mesh {
     }
 }
 
-/// A scene's answer without and with its ends.
-struct Parts {
-    far: Vec<Point>,
-    whole: Vec<Point>,
-}
-
-fn parts(scene: &Scene, mesh: &solid::Mesh, levels: &[usize]) -> Result<Option<Parts>, FidelityError> {
+fn parts(scene: &Scene, mesh: &solid::Mesh, levels: &[usize]) -> Result<Option<Joined>, FidelityError> {
     let mut solid = Solid::new(&scene.tube, scene.length, mesh, None)?;
     let path = solid.follow(&Tip::straight(scene.hold.ends()), &scene.pressures, &mut |_| {})?;
     if path.states.len() < scene.pressures.len() {
         return Ok(None);
     }
-    for &level in levels {
-        if let Some(parts) = with_ends(scene, &path.states, &Section::new(&scene.tube, Mesh::level(level))?)? {
-            return Ok(Some(parts));
-        }
-    }
-    Ok(None)
-}
-
-fn with_ends(scene: &Scene, solids: &[SolidEquilibrium], section: &Section) -> Result<Option<Parts>, FidelityError> {
-    let stable = |found: Result<Equilibrium, SectionError>| match found {
-        Ok(found) => Ok(Some(found)),
-        Err(SectionError::BeyondLimit { .. } | SectionError::PathEnds { .. }) => Ok(None),
-        Err(error) => Err(FidelityError::from(error)),
-    };
-    let mut state = section.rest()?;
-    let mut parts = Parts { far: Vec::new(), whole: Vec::new() };
-    for (&pressure, solid) in scene.pressures.iter().zip(solids) {
-        let Some(far) = stable(section.advance(&mut state, pressure, scene.hold.ends()))? else { return Ok(None) };
-        let far = Rest::from(&far);
-        let whole = match scene.hold {
-            Hold::Free => Rest {
-                twist: far.twist + solid.rotation / scene.length - solid.middle_twist,
-                stretch: far.stretch + solid.stretch - solid.middle_stretch,
-                ..far
-            },
-            Hold::Blocked => {
-                let middle = Ends { axial: End::Held(solid.middle_stretch), torsion: End::Held(solid.middle_twist) };
-                let Some(held) = stable(section.advance(&mut state.clone(), pressure, middle))? else {
-                    return Ok(None);
-                };
-                Rest { stretch: 1.0, twist: 0.0, ..Rest::from(&held) }
-            }
-        };
-        parts.far.push(Point { pressure, rest: Some(far) });
-        parts.whole.push(Point { pressure, rest: Some(whole) });
-    }
-    Ok(Some(parts))
+    joined(scene, &path.states, levels)
 }

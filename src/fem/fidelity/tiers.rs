@@ -1,5 +1,6 @@
 //! The tiers' answers to a scene.
 
+use super::joined::{Joined, joined};
 use super::{Answer, Fidelity, FidelityError, Limit, Point, Rest, Scene, difference};
 use crate::fem::ends::Equilibrium;
 use crate::fem::linear::LinearSection;
@@ -17,6 +18,8 @@ const NOTHING: f64 = 1e-12;
 const SECTION_TOLERANCE: f64 = 5e-3;
 /// Share of the section's limit pressure up to which a coarse solid is asked.
 const SAFE: f64 = 0.9;
+/// Levels of the section's mesh on which the solid's ends are put: the first one that has not folded.
+const LEVELS: [usize; 2] = [2, 1];
 /// Share of the solid's time that its usual mesh takes; the rest is the coarse one's.
 const USUAL: f64 = 0.9;
 
@@ -89,8 +92,8 @@ pub(super) fn end_effects(scene: &Scene, section: &Answer) -> Result<f64, Fideli
     let whole = Scene { pressures, ..scene.clone() };
     let half = Scene { length: 0.5 * scene.length, ..whole.clone() };
     let mesh = ends(&scene.tube);
-    let (points, ..) = path(&whole, &mesh, &mut |_| {})?;
-    let (shorter, ..) = path(&half, &mesh, &mut |_| {})?;
+    let points = path(&whole, &mesh, &mut |_| {})?.points;
+    let shorter = path(&half, &mesh, &mut |_| {})?.points;
     Ok(common_difference(&shorter, &points, &whole))
 }
 
@@ -194,12 +197,20 @@ pub(super) fn section(scene: &Scene, tolerance: f64) -> Result<Answer, FidelityE
     Ok(Answer { fidelity: Fidelity::Section, points, limit, discretisation_error, profile: Vec::new() })
 }
 
-/// The solid on its usual mesh, its discretisation error estimated against the coarse one.
+/// The solid on its usual mesh, its discretisation error estimated against the coarse one, and, as the section knows
+/// better what is across the tube, against its own ends on the section: whichever is larger.
 fn solid(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Answer, FidelityError> {
-    let (points, limit, profile) =
+    let Walked { points, limit, profile, ways } =
         path(scene, &solid::Mesh::sector(&scene.tube), &mut |share| progress(USUAL * share))?;
-    let (other, ..) = path(scene, &coarse(&scene.tube), &mut |share| progress(USUAL + (1.0 - USUAL) * share))?;
-    let discretisation_error = common_difference(&other, &points, scene);
+    let other = path(scene, &coarse(&scene.tube), &mut |share| progress(USUAL + (1.0 - USUAL) * share))?;
+    let mut discretisation_error = common_difference(&other.points, &points, scene);
+    if scene.tube.fiber_width > 0.0 {
+        for (way, states) in &ways {
+            let Some(Joined { whole, .. }) = joined(scene, states, &LEVELS)? else { continue };
+            let own: Vec<Point> = way.iter().zip(&whole).map(|(&i, _)| points[i]).collect();
+            discretisation_error = discretisation_error.max(difference(&own, &whole, scene));
+        }
+    }
     Ok(Answer { fidelity: Fidelity::Solid, points, limit, discretisation_error, profile })
 }
 
@@ -232,14 +243,22 @@ fn coarse(tube: &Tube) -> solid::Mesh {
     }
 }
 
-/// Points by pressure, the limit, and the sections at the farthest pressure.
-type Walked = (Vec<Point>, Option<Limit>, Vec<Station>);
+/// A solid's way through the scene's pressures.
+struct Walked {
+    points: Vec<Point>,
+    limit: Option<Limit>,
+    /// The sections from base to tip at the farthest pressure.
+    profile: Vec<Station>,
+    /// The ways from rest: the indices of their pressures, and the states as far as they go.
+    ways: Vec<(Vec<usize>, Vec<SolidEquilibrium>)>,
+}
 
 fn path(scene: &Scene, mesh: &solid::Mesh, progress: &mut dyn FnMut(f64)) -> Result<Walked, FidelityError> {
     let mut solid = Solid::new(&scene.tube, scene.length, mesh, None)?;
     let (mut points, mut limit, mut passed) = (empty(scene), None, 0.0);
+    let mut ways = Vec::new();
     let (mut profile, mut farthest) = (Vec::new(), 0.0);
-    for way in scene.ways().iter().filter(|way| !way.is_empty()) {
+    for way in scene.ways().into_iter().filter(|way| !way.is_empty()) {
         let pressures: Vec<f64> = way.iter().map(|&i| scene.pressures[i]).collect();
         let part = way.len() as f64 / scene.pressures.len() as f64;
         let mut told = |share: f64| progress(passed + part * share);
@@ -261,8 +280,9 @@ fn path(scene: &Scene, mesh: &solid::Mesh, progress: &mut dyn FnMut(f64)) -> Res
                 limit.get_or_insert(Limit { pressure, reason });
             }
         }
+        ways.push((way, path.states));
     }
-    Ok((points, limit, profile))
+    Ok(Walked { points, limit, profile, ways })
 }
 
 fn rest_of(state: &SolidEquilibrium, length: f64) -> Rest {
