@@ -18,8 +18,8 @@ const SUITE: &str = "fidelity";
 const TIERS: [Fidelity; 4] = [Fidelity::Linear, Fidelity::Nonlinear, Fidelity::Section, Fidelity::Solid];
 /// First seed of the scenes that judge; those of the table begin at 0.
 const JUDGES: u64 = 1_000_000;
-/// Scenes of the table for each one that judges: of 300 they are thirty in a bucket, of which the next one has the largest
-/// error with a probability of 3 %.
+/// Scenes of the table for each one that judges: of 300 they are thirty in a bucket, and the next one of it has a larger
+/// error than all of them with a probability of 3 %.
 const PER_JUDGE: u64 = 3;
 /// Share of the scenes whose error may be above the estimate.
 const MISSES: f64 = 0.05;
@@ -172,7 +172,7 @@ fn draw(told: &[Told], curves: &mut Vec<Curve>) {
     }
 }
 
-/// The table of `count` scenes: the largest errors are found on a mesh that is cheap, and computed again on the truth's.
+/// The table of `count` scenes: the largest errors are found on a cheap mesh, and computed again on the truth's.
 fn certify(count: u64) -> Result<String, Failure> {
     let cheap = |seed| suite::errors(&Scene::seeded(seed).0, false);
     let found = in_parallel("certified range", "scenes", count, cheap).into_iter().collect::<Result<Vec<_>, _>>()?;
