@@ -202,7 +202,9 @@ fn by_either(
     if highest > 0.0 {
         context.note("estimating what the FREEs' ends are worth, by a coarse solid of one: some seconds");
         let remedy = "ask for `--fidelity rod`, which does not look at the ends";
-        rods.model = rods_model_error(scene, highest).map_err(|error| Failure::failed(error).remedy(remedy))?;
+        let ends = rods_model_error(scene, highest).map_err(|error| Failure::failed(error).remedy(remedy))?;
+        // What is not known is no reason to believe the rods.
+        rods.model = Some(ends.unwrap_or(f64::INFINITY));
     }
     let mut tried = rods.told("rod");
     if !rods.within(tolerance) && rods.discretisation <= tolerance.si() {
