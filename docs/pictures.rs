@@ -1,5 +1,6 @@
 //! Makes the pictures of the README anew, by the program's own commands on its simulated rigs with the seeds of their
-//! rig.toml: `cargo build --release`, then `cargo run --release --example freerig-pictures` at the top of the repository.
+//! rig.toml: `cargo build --release`, then `cargo run --release --example freerig-pictures` at the top of the
+//! repository.
 
 use std::error::Error;
 use std::fs;

@@ -1,5 +1,5 @@
-//! The scene of the paper's demonstration: a module that whisks and a FREE that turns a cooktop's knob, five channels at
-//! once, by Alicat units and by DACs.
+//! The scene of the paper's demonstration: a module that whisks and a FREE that turns a cooktop's knob, five channels
+//! at once, by Alicat units and by DACs.
 
 use std::fs;
 use std::path::Path;

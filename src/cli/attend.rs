@@ -81,7 +81,8 @@ async fn attend(
     mut cues: &[Cue],
     context: &Context,
 ) -> Result<Vec<RunResult>, Failure> {
-    // One listener from before the start to the end: what is pressed while the daemon is being asked is heard afterwards.
+    // One listener from before the start to the end: what is pressed while the daemon is being asked is heard
+    // afterwards.
     let mut interrupts = signal(SignalKind::interrupt())?;
     let mut events = client.events().await.map_err(Failure::client)?;
     client.start(start).await.map_err(Failure::client)?;

@@ -1,8 +1,8 @@
 //! `freerig demo`: the whole job on the simulated rig, in this process.
 //!
-//! Stiffness and hysteresis of the simulated FREE first; then one trajectory in real time, with the threads, drivers and
-//! files of the daemon; then step and trajectory on the stepped clock, with the gains that the paper's authors published
-//! and with freerig's own; a module's whisk with a knob that is turned at the end.
+//! Stiffness and hysteresis of the simulated FREE first; then one trajectory in real time, with the threads, drivers
+//! and files of the daemon; then step and trajectory on the stepped clock, with the gains that the paper's authors
+//! published and with freerig's own; a module's whisk with a knob that is turned at the end.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};

@@ -1,5 +1,6 @@
-//! The scene of `freerig demo`: a module whisks an eight, planned for the nominal one, while a fifth FREE turns the knob
-//! of the cooktop; on the simulated rig, whose FREEs are not quite the plan's: as it stands, and led along its path.
+//! The scene of `freerig demo`: a module whisks an eight, planned for the nominal one, while a fifth FREE turns the
+//! knob of the cooktop; on the simulated rig, whose FREEs are not quite the plan's: as it stands, and led along its
+//! path.
 
 use std::path::Path;
 

@@ -1,5 +1,5 @@
-//! `freerig step`, `trajectory`, `sweep` and `whisk`: an experiment, run by the daemon or, with `--stepped`, here on the
-//! simulated rig as fast as the machine can.
+//! `freerig step`, `trajectory`, `sweep` and `whisk`: an experiment, run by the daemon or, with `--stepped`, here on
+//! the simulated rig as fast as the machine can.
 
 use std::path::{Path, PathBuf};
 
@@ -71,8 +71,8 @@ pub struct Args {
 pub struct WhiskArgs {
     #[command(flatten)]
     pub plan: Args,
-    /// Run the plan's pressures as they stand; without it the plate is led along the plan's path, where the plan has one and
-    /// the plate an IMU
+    /// Run the plan's pressures as they stand; without it the plate is led along the plan's path, where the plan has
+    /// one and the plate an IMU
     #[arg(long)]
     pub open_loop: bool,
 }

@@ -255,8 +255,8 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// The clap command, its commands grouped in the help, with the rule that a quantity may begin with a minus sign applied
-/// throughout.
+/// The clap command, its commands grouped in the help, with the rule that a quantity may begin with a minus sign
+/// applied throughout.
 pub fn command() -> clap::Command {
     grouped(signed_quantities(Cli::command()))
 }

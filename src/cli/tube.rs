@@ -63,8 +63,8 @@ impl TubeArgs {
         Ok(rig.control.frees[index].limits.slew)
     }
 
-    /// The tube and its length, m. What neither the flags nor the FREE's calibration say is the reference FREE's, and is
-    /// told.
+    /// The tube and its length, m. What neither the flags nor the FREE's calibration say is the reference FREE's, and
+    /// is told.
     pub fn tube(&self, context: &Context) -> Result<(Tube, f64), Failure> {
         if self.gamma.len() > 1 {
             let angles = self.gamma.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");

@@ -1,8 +1,8 @@
 //! `[free.knob]` of rig.toml: the knob that a FREE's free end turns, and what temperature it sets.
 //!
-//! Off is where the vented FREE rests: the FREE is mounted wound on by a little, so that without pressure it presses the
-//! knob against its off stop, and zero of the angle is there. From off the knob goes the way the FREE turns, as far as its
-//! other stop.
+//! Off is where the vented FREE rests: the FREE is mounted wound on by a little, so that without pressure it presses
+//! the knob against its off stop, and zero of the angle is there. From off the knob goes the way the FREE turns, as far
+//! as its other stop.
 
 use super::reader::Section;
 use crate::control::Limits;
@@ -38,7 +38,8 @@ impl Temperatures {
         &self.0
     }
 
-    /// What the knob sets at `angle`, rad: between two rows linear, beyond the ends what they set; not a number of none.
+    /// What the knob sets at `angle`, rad: between two rows linear, beyond the ends what they set; not a number of
+    /// none.
     pub fn at(&self, angle: f64) -> f64 {
         between(self.0.iter().copied(), angle)
     }

@@ -20,7 +20,8 @@
 //! ```
 //!
 //! The files' columns: `stretch` (or `strain`) and `stress_mpa`, or `elongation_mm` and `force_n`; `pressure_psi` and
-//! `outer_radius_mm` (or `outer_diameter_mm`); `strain` (or `elongation_mm`) and `force_n`; each in any unit of its kind.
+//! `outer_radius_mm` (or `outer_diameter_mm`); `strain` (or `elongation_mm`) and `force_n`; each in any unit of its
+//! kind.
 
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};

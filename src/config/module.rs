@@ -15,7 +15,8 @@ pub const FREES: usize = 4;
 /// Four FREEs on a square under one rigid plate, which carries the IMU.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ModuleConfig {
-    /// The rig's indices of A, B, C, D: A at (+, +), then counter-clockwise about z, which runs from the bases to the plate.
+    /// The rig's indices of A, B, C, D: A at (+, +), then counter-clockwise about z, which runs from the bases to the
+    /// plate.
     pub frees: [usize; FREES],
     /// Side of the square, centre to centre, m.
     pub spacing: f64,

@@ -1,9 +1,9 @@
 //! What can be read of a wrong rig.toml: enough to take the pressure away, never to make one.
 //!
-//! A rig that runs may have its file edited into a wrong one, and must still be vented when its daemon has ended. Zero is
-//! safe to send to whatever the file names; only what the file *fails* to name is lost. So the parts that a vent does not
-//! need (limits, gains, IMU, loop, record) are replaced by stand-ins, and a problem in the others keeps the vent from
-//! being called verified.
+//! A rig that runs may have its file edited into a wrong one, and must still be vented when its daemon has ended. Zero
+//! is safe to send to whatever the file names; only what the file *fails* to name is lost. So the parts that a vent
+//! does not need (limits, gains, IMU, loop, record) are replaced by stand-ins, and a problem in the others keeps the
+//! vent from being called verified.
 
 use std::path::Path;
 

@@ -144,7 +144,8 @@ fn read_safety(mut section: Section<'_>, frees: &[RawFree]) -> RawSafety {
     safety
 }
 
-/// Every unit on a line has to hear of a stop in time: within the time in which the owner of the line gives up on the loop.
+/// Every unit on a line has to hear of a stop in time: within the time in which the owner of the line gives up on the
+/// loop.
 fn check_lines(root: &mut Section<'_>, serial: &[RawSerial], frees: &[RawFree], timeout: Duration) {
     for (name, mut section) in root.named("serial") {
         section.accept_rest();

@@ -5,12 +5,12 @@
 //! drops out (it is chosen so that q_w >= 0), and the angle is unwrapped to the turn nearest to where the gyro
 //! said it would be: a FREE turns beyond a full turn.
 //!
-//! **Plausible** is a reading with a norm within 0.02 of one, a rate within the gyro's range, a tilt below 160 deg, and an angle that the gyro
-//! can explain ([`JUMP_MAX`], growing by [`JUMP_RATE`] with the time since the reading before). A gyro at the end of its
-//! range says "at least": then the angle may have moved twice as far. Any other is
-//! refused and counted by the interlocks; the estimate goes on from the last good one. Between two sessions the
-//! zero belongs to nobody: there, an axis that stays tilted for [`NEW_ZERO_AFTER`] (the IMU was mounted anew, or a
-//! reset has turned its north) becomes the new zero.
+//! **Plausible** is a reading with a norm within 0.02 of one, a rate within the gyro's range, a tilt below 160 deg, and
+//! an angle that the gyro can explain ([`JUMP_MAX`], growing by [`JUMP_RATE`] with the time since the reading before).
+//! A gyro at the end of its range says "at least": then the angle may have moved twice as far. Any other is refused and
+//! counted by the interlocks; the estimate goes on from the last good one. Between two sessions the zero belongs to
+//! nobody: there, an axis that stays tilted for [`NEW_ZERO_AFTER`] (the IMU was mounted anew, or a reset has turned its
+//! north) becomes the new zero.
 //!
 //! **Now.** A reading speaks of the time `age + delay` ago. Between and beyond readings,
 //!
@@ -32,9 +32,8 @@ use crate::clock::Time;
 use crate::signal::{Estimate, ImuHealth, ImuSample};
 
 use super::ImuChannel;
+use super::swing_twist::{difference, dot, swing_twist, unit};
 
-/// Largest deviation of a quaternion's norm from one.
-pub const NORM_TOLERANCE: f64 = 0.02;
 /// Largest tilt of the axis against the tare, rad: the twist is undefined at 180 deg and its error grows as
 /// 1/cos(tilt/2) towards it.
 pub const TILT_MAX: f64 = 160.0 * std::f64::consts::PI / 180.0;
@@ -48,7 +47,8 @@ pub const JUMP_RATE: f64 = 5.0;
 pub const NEW_ZERO_AFTER: f64 = 0.6;
 /// Fastest rate that a reading may give, rad/s: the gyro's range is 2000 deg/s.
 pub const RATE_MAX: f64 = 36.0;
-/// From here on the gyro is at the end of its range and the FREE may turn faster, rad/s: 1990 deg/s. One that bursts does.
+/// From here on the gyro is at the end of its range and the FREE may turn faster, rad/s: 1990 deg/s. One that bursts
+/// does.
 pub const RATE_FULL: f64 = 34.7;
 /// Longest time over which a reading is extrapolated, s.
 pub const HORIZON_MAX: f64 = 0.05;
@@ -189,89 +189,9 @@ pub fn smoothing(imu_period: f64, tick: f64) -> f64 {
     if imu_period > 1.5 * tick { 0.5 * imu_period } else { 0.0 }
 }
 
-/// `q` normalised, with q_w >= 0; `None` if its norm is off by more than [`NORM_TOLERANCE`] or not a number.
-pub fn unit(q: [f64; 4]) -> Option<[f64; 4]> {
-    let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let plausible = (norm - 1.0).abs() <= NORM_TOLERANCE;
-    plausible.then(|| upright(q.map(|x| x / norm)))
-}
-
-fn upright(q: [f64; 4]) -> [f64; 4] {
-    if q[0] < 0.0 { q.map(|x| -x) } else { q }
-}
-
-/// a^-1 b for unit quaternions.
-fn difference(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
-    let [aw, ax, ay, az] = [a[0], -a[1], -a[2], -a[3]];
-    let [bw, bx, by, bz] = b;
-    [
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    ]
-}
-
-/// Twist about `axis` in -pi..=pi and tilt of the axis in 0..=pi, both rad, of a unit quaternion.
-pub fn swing_twist(q: [f64; 4], axis: [f64; 3]) -> (f64, f64) {
-    let q = upright(q);
-    let v = [q[1], q[2], q[3]];
-    let along = dot(v, axis);
-    let across = [v[0] - along * axis[0], v[1] - along * axis[1], v[2] - along * axis[2]];
-    let twist = 2.0 * along.atan2(q[0]);
-    let tilt = 2.0 * dot(across, across).sqrt().atan2(q[0].hypot(along));
-    (twist, tilt)
-}
-
 /// The angle equal to `angle` up to whole turns that is nearest to `near`.
 fn unwrap(angle: f64, near: f64) -> f64 {
     angle + std::f64::consts::TAU * ((near - angle) / std::f64::consts::TAU).round()
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-/// Mean orientation and rate of readings at rest: the tare.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct TareMean {
-    sum: [f64; 4],
-    count: u32,
-    sequence: u32,
-}
-
-impl TareMean {
-    /// Readings it takes.
-    pub const READINGS: u32 = 10;
-    /// Fastest motion at which the FREE counts as standing still, rad/s: ten times the gyro's noise, and a
-    /// movement of the hand is above it.
-    pub const STILL: f64 = 0.05;
-
-    /// Adds a reading if it is new. False if it moves: then the mean starts anew.
-    pub fn add(&mut self, sample: &ImuSample) -> bool {
-        if sample.sequence == self.sequence && self.count > 0 {
-            return true;
-        }
-        self.sequence = sample.sequence;
-        let Some(q) = unit(sample.quaternion).filter(|_| sample.health == ImuHealth::Good) else { return true };
-        let moving = dot(sample.rate, sample.rate).sqrt();
-        if moving.is_nan() || moving > Self::STILL {
-            *self = Self { sequence: sample.sequence, ..Self::default() };
-            return false;
-        }
-        let sign = if self.sum.iter().zip(q).map(|(a, b)| a * b).sum::<f64>() < 0.0 { -1.0 } else { 1.0 };
-        for (sum, q) in self.sum.iter_mut().zip(q) {
-            *sum += sign * q;
-        }
-        self.count = self.count.saturating_add(1);
-        true
-    }
-
-    /// The mean orientation, once there are enough readings.
-    pub fn orientation(&self) -> Option<[f64; 4]> {
-        let norm = self.sum.iter().map(|x| x * x).sum::<f64>().sqrt();
-        (self.count >= Self::READINGS && norm > 0.0).then(|| upright(self.sum.map(|x| x / norm)))
-    }
 }
 
 #[cfg(test)]
@@ -485,22 +405,5 @@ mod tests {
             estimator.step(&s, Time::from_nanos(u64::from(k) * 500_000), 5e-4, true);
             assert!((estimator.estimate().angle - angle).abs() < 1e-12);
         }
-    }
-
-    #[test]
-    fn the_tare_is_the_mean_of_readings_at_rest() {
-        let mut tare = TareMean::default();
-        let base = UnitQuaternion::from_euler_angles(0.1, 0.2, 3.1);
-        for k in 0..TareMean::READINGS {
-            assert!(tare.orientation().is_none());
-            let noise = turned(if k % 2 == 0 { 1e-3 } else { -1e-3 });
-            let sign = if k % 3 == 0 { -1.0 } else { 1.0 };
-            assert!(tare.add(&sample(k + 1, 0.0, quaternion(base * noise).map(|x| sign * x), 0.0)));
-        }
-        let mean = tare.orientation().unwrap();
-        let (twist, tilt) = swing_twist(difference(mean, quaternion(base)), Z);
-        assert!(twist.abs() < 1e-9 && tilt < 1e-9, "{twist} {tilt}");
-        assert!(!tare.add(&sample(99, 0.0, quaternion(base), 1.1 * TareMean::STILL)));
-        assert!(tare.orientation().is_none());
     }
 }

@@ -3,8 +3,8 @@
 //! They judge the *age* of a reading and never wait for one. Age counts from the reading's own time or from its
 //! arrival in the tick, whichever is earlier, so that neither a frozen time stamp nor one from the future hides a
 //! silent device; time in which the loop itself stood still (up to [`STALL_MAX`]) is no silence of the device.
-//! A debounce "n samples" counts readings. A debounce in seconds counts from the latest reading that was still good: what
-//! the next one shows may have begun right after it.
+//! A debounce "n samples" counts readings. A debounce in seconds counts from the latest reading that was still good:
+//! what the next one shows may have begun right after it.
 
 use std::time::Duration;
 

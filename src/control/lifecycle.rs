@@ -51,9 +51,9 @@ use crate::signal::{FaultCode, FaultSet, MAX_FREES, Refusal, RefusalCode, State}
 use crate::trajectory::Program;
 
 use super::Request;
-use super::estimator::TareMean;
 use super::fault::Reaction;
 use super::interlocks::{Vented, Verdict};
+use super::tare::TareMean;
 
 /// Longest time for the checks of arming and the tare, s: a gyro needs some seconds of rest to calibrate.
 pub const ARMING_TIME: f64 = 5.0;

@@ -19,6 +19,8 @@ pub mod replay;
 pub mod root_locus;
 pub mod shaper;
 pub mod static_map;
+pub mod swing_twist;
+pub mod tare;
 pub mod trim;
 pub mod tune;
 

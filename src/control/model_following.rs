@@ -9,9 +9,9 @@
 //! lead = dead time + half of what the regulator's period exceeds the tick + tick
 //! ```
 //!
-//! P_static and a are the table of [`super::static_map`], M_h is the Maxwell-slip moment of [`crate::model::Hysteresis`]
-//! that moves along with the reference, from the tare. There the sliders stand as a full cycle has left them: a FREE on a
-//! bench has been under pressure before.
+//! P_static and a are the table of [`super::static_map`], M_h is the Maxwell-slip moment of
+//! [`crate::model::Hysteresis`] that moves along with the reference, from the tare. There the sliders stand as a full
+//! cycle has left them: a FREE on a bench has been under pressure before.
 //!
 //! **Feedback.** If the model is right the angle *is* the shaped reference. So the PID compares the estimate with the
 //! estimate that this reference would give: the reference as it was when the present reading was taken, `age` ago,

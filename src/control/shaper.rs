@@ -79,8 +79,8 @@ impl Shaper {
     }
 
     /// The shaped reference for the program's `wanted`, `dt` seconds after the tick before. `feasible` says whether the
-    /// command can follow the program, going on as it does now, plus the difference; it is asked at most 13 times, and only at a jump. `shortest` is the
-    /// shortest duration of a move, s.
+    /// command can follow the program, going on as it does now, plus the difference; it is asked at most 13 times, and
+    /// only at a jump. `shortest` is the shortest duration of a move, s.
     pub fn step(
         &mut self,
         wanted: Motion,

@@ -30,8 +30,8 @@ pub struct Target {
 impl Target {
     /// For a PID that has to do everything.
     pub const PID: Self = Self { damping: 0.7, gain_margin: 3.0, phase_margin_deg: 60.0 };
-    /// For the feedback around a model, which does little where the model is right: stable even where every parameter of
-    /// the FREE is 20 % off, which makes the loop gain at rest up to three times as large, and twice that at 70 deg.
+    /// For the feedback around a model, which does little where the model is right: stable even where every parameter
+    /// of the FREE is 20 % off, which makes the loop gain at rest up to three times as large, and twice that at 70 deg.
     pub const MODEL: Self = Self { gain_margin: 6.0, ..Self::PID };
 }
 

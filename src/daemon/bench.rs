@@ -50,8 +50,8 @@ pub trait Bench {
         Vec::new()
     }
 
-    /// Has the simulated bench's hand do to the FREE `free` what `hand` says, for `duration` from now on. At a real bench
-    /// a person does it.
+    /// Has the simulated bench's hand do to the FREE `free` what `hand` says, for `duration` from now on. At a real
+    /// bench a person does it.
     fn pluck(&mut self, _free: usize, _hand: &Hand, _duration: Duration) {}
 
     /// The latest record.

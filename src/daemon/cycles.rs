@@ -1,12 +1,12 @@
 //! How often each FREE has been under pressure: rubber tires.
 //!
-//! **Rule.** A cycle is counted when the pressure (measured; commanded where nothing measures it) rises above [`RISE`] of
-//! `max_pressure_psi`, after it has been below [`FALL`] of it. Small loops near the top are none.
+//! **Rule.** A cycle is counted when the pressure (measured; commanded where nothing measures it) rises above [`RISE`]
+//! of `max_pressure_psi`, after it has been below [`FALL`] of it. Small loops near the top are none.
 //!
 //! The counts belong to the FREE, by the name of its calibration, and outlive runs: they stand in `cycles.toml` beside
-//! the runs, which is replaced as a whole and under a lock on their folder, so that two processes lose nothing to each other. It is
-//! written at most once a second while the pressures move, and at the end of every program: a kill costs a second of
-//! counting. What a simulated FREE goes through is counted apart.
+//! the runs, which is replaced as a whole and under a lock on their folder, so that two processes lose nothing to each
+//! other. It is written at most once a second while the pressures move, and at the end of every program: a kill costs a
+//! second of counting. What a simulated FREE goes through is counted apart.
 
 use std::collections::BTreeMap;
 use std::fs::File;

@@ -1,9 +1,10 @@
 //! The model thread of a run that follows a path with a module's plate.
 //!
-//! It is the procedure's own thread: at every look at the rig ([`super::procedure::LOOK`], 50 Hz) the [`Follower`] takes
-//! the latest record's orientation and pressures, and a tracker's pose if there is one, learns what of the module is not as its
-//! model says ([`crate::plan::pursuit`]), and answers with the pressures to add to the plan's, which the tick takes from
-//! a latest-value slot. They are for a moment ahead: a regulator's dead time and lag, and the plate's own lag.
+//! It is the procedure's own thread: at every look at the rig ([`super::procedure::LOOK`], 50 Hz) the [`Follower`]
+//! takes the latest record's orientation and pressures, and a tracker's pose if there is one, learns what of the module
+//! is not as its model says ([`crate::plan::pursuit`]), and answers with the pressures to add to the plan's, which the
+//! tick takes from a latest-value slot. They are for a moment ahead: a regulator's dead time and lag, and the plate's
+//! own lag.
 //!
 //! Whatever stops it (an IMU that is silent, a state without an equilibrium, a thread that hangs) ends its trims, which
 //! fade within half a second (`control::trim`); what is then left is the plan, and the fault matrix.

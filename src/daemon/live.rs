@@ -419,7 +419,8 @@ impl Bench for LiveBench {
     fn pass(&mut self, duration: Duration) -> Result<(), DaemonError> {
         let ticks = self.statistics.ticks();
         self.clock.block_until(self.clock.now() + duration);
-        // A machine may stall for a while, and then the heartbeat must not wait; a loop that has ended never ticks again.
+        // A machine may stall for a while, and then the heartbeat must not wait; a loop that has ended never ticks
+        // again.
         let end = self.clock.now() + LONGEST_STALL;
         while self.statistics.ticks() == ticks {
             if self.clock.now() >= end {

@@ -1,8 +1,8 @@
 //! The rig on the stepped clock: one scheduler, one thread, fixed order, as fast as the machine can.
 //!
 //! At each event, in this order: I2C owners (they publish what they have read once everybody has caught up with
-//! their transfers, then take their next turn), the valve's owner, the contacts, the serial owners (polled until they wait),
-//! the tick. Plant and chips advance when they are asked. The same seed gives the same bits.
+//! their transfers, then take their next turn), the valve's owner, the contacts, the serial owners (polled until they
+//! wait), the tick. Plant and chips advance when they are asked. The same seed gives the same bits.
 
 use std::collections::BTreeMap;
 use std::future::Future;

@@ -21,8 +21,10 @@
 //! The volumetric part belongs to the formulation (a pressure field), which gets the volume ratio and its
 //! derivatives from the same [`Law`], since the linear law's volume measure is the trace of the strain.
 
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix3, SMatrix};
 use thiserror::Error;
+
+use super::spectral::{eigen, expc, expc2, sinhc};
 
 /// Derivative of the first Piola-Kirchhoff stress by F: row `3 i + J`, column `3 k + L` is dP_iJ / dF_kL.
 pub type Tangent = SMatrix<f64, 9, 9>;
@@ -170,78 +172,6 @@ pub fn cofactor(f: &Matrix3<f64>) -> Matrix3<f64> {
     })
 }
 
-/// sinh(x) / x.
-fn sinhc(x: f64) -> f64 {
-    if x.abs() < 0.2 {
-        let s = x * x;
-        1.0 + s / 6.0 * (1.0 + s / 20.0 * (1.0 + s / 42.0 * (1.0 + s / 72.0 * (1.0 + s / 110.0))))
-    } else {
-        x.sinh() / x
-    }
-}
-
-/// (exp(x) - 1) / x.
-fn expc(x: f64) -> f64 {
-    if x.abs() < 1e-5 { 1.0 + x / 2.0 + x * x / 6.0 } else { x.exp_m1() / x }
-}
-
-/// (exp(x) - 1 - x) / x^2.
-fn expc2(x: f64) -> f64 {
-    if x.abs() < 0.5 {
-        // Taylor series: the twelfth term is below 1e-17 here.
-        let mut term = 0.5;
-        let mut sum = 0.5;
-        for k in 3..16 {
-            term *= x / f64::from(k);
-            sum += term;
-        }
-        sum
-    } else {
-        (x.exp_m1() - x) / (x * x)
-    }
-}
-
-/// Eigenvalues and eigenvectors (columns) of a symmetric matrix by cyclic Jacobi rotations: accurate to round-off
-/// for coincident eigenvalues too.
-fn eigen(matrix: &Matrix3<f64>) -> (Vector3<f64>, Matrix3<f64>) {
-    let mut a = *matrix;
-    let mut v = Matrix3::identity();
-    let scale = a.norm_squared();
-    for _ in 0..30 {
-        let off = a[(0, 1)] * a[(0, 1)] + a[(0, 2)] * a[(0, 2)] + a[(1, 2)] * a[(1, 2)];
-        if off <= 1e-34 * scale {
-            break;
-        }
-        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-            let apq = a[(p, q)];
-            if apq == 0.0 {
-                continue;
-            }
-            let theta = (a[(q, q)] - a[(p, p)]) / (2.0 * apq);
-            // Squares that overflow leave t = 0, which is what they should.
-            let t = 1.0_f64.copysign(theta) / (theta.abs() + (theta * theta + 1.0).sqrt());
-            let c = 1.0 / (t * t + 1.0).sqrt();
-            let s = t * c;
-            let r = 3 - p - q;
-            let (arp, arq) = (a[(r, p)], a[(r, q)]);
-            a[(p, p)] -= t * apq;
-            a[(q, q)] += t * apq;
-            a[(p, q)] = 0.0;
-            a[(q, p)] = 0.0;
-            a[(r, p)] = c * arp - s * arq;
-            a[(p, r)] = a[(r, p)];
-            a[(r, q)] = s * arp + c * arq;
-            a[(q, r)] = a[(r, q)];
-            for i in 0..3 {
-                let (vip, viq) = (v[(i, p)], v[(i, q)]);
-                v[(i, p)] = c * vip - s * viq;
-                v[(i, q)] = s * vip + c * viq;
-            }
-        }
-    }
-    (Vector3::new(a[(0, 0)], a[(1, 1)], a[(2, 2)]), v)
-}
-
 fn ogden(mu: f64, alpha: f64, f: &Matrix3<f64>) -> Result<Response, MaterialError> {
     let j = f.determinant();
     if !(j.is_finite() && j > 0.0) {
@@ -351,6 +281,7 @@ fn linear(mu: f64, f: &Matrix3<f64>) -> Response {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector3;
     use rand::{Rng, SeedableRng};
     use rand_pcg::Pcg64Mcg;
 

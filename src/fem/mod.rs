@@ -31,4 +31,5 @@ pub mod section;
 pub mod section_law;
 pub mod solid;
 pub mod sparse;
+mod spectral;
 pub mod tube;

@@ -1,7 +1,7 @@
 //! The ADS1115 four-channel 16-bit converter (Texas Instruments SBAS444) behind analogue pressure sensors.
 //!
-//! One conversion at a time: [`Ads1115::start`] begins it, [`Ads1115::finish`] fetches it a little later, and nobody waits
-//! in between. Inputs are read against ground within 6.144 V, 187.5 uV a count; the supply bounds them at 5.3 V.
+//! One conversion at a time: [`Ads1115::start`] begins it, [`Ads1115::finish`] fetches it a little later, and nobody
+//! waits in between. Inputs are read against ground within 6.144 V, 187.5 uV a count; the supply bounds them at 5.3 V.
 //!
 //! A reading counts only if the chip says that it is ready *and* still has the configuration that it was given: random
 //! bytes, a reset and another program's channel do not pass.

@@ -1,5 +1,5 @@
-//! Digital lines: the coil of the dump valve with its heartbeat, the emergency stop's contact, and the supply's pressure
-//! switch.
+//! Digital lines: the coil of the dump valve with its heartbeat, the emergency stop's contact, and the supply's
+//! pressure switch.
 //!
 //! | line | high | low |
 //! | --- | --- | --- |
@@ -178,8 +178,8 @@ pub struct ContactWatch<P> {
 }
 
 impl<P: InputPin> ContactWatch<P> {
-    /// A watch that tells `flag` whether the contact is open; its line is opened when it is first needed. Until it has been
-    /// read it counts as open.
+    /// A watch that tells `flag` whether the contact is open; its line is opened when it is first needed. Until it has
+    /// been read it counts as open.
     pub fn new(contact: Contact, line: OpenPin<P>, flag: Arc<AtomicBool>, clock: Clock) -> Self {
         flag.store(true, Ordering::Release);
         let due = clock.now();

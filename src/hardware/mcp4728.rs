@@ -98,8 +98,8 @@ impl<I: I2c> Mcp4728<I> {
         self.write([0; 4])
     }
 
-    /// The general call's reset: every MCP4728 on the bus takes its EEPROM's codes, which [`Mcp4728::connect`] has found to
-    /// be zero. For a chip that does not answer to its own address any more; other chips may hear it as well.
+    /// The general call's reset: every MCP4728 on the bus takes its EEPROM's codes, which [`Mcp4728::connect`] has
+    /// found to be zero. For a chip that does not answer to its own address any more; other chips may hear it as well.
     pub fn reset_all(&mut self) -> Result<(), HardwareError> {
         self.bus.write(0x00, &[0x06]).map_err(|error| transfer_error(&self.device, &error))?;
         self.codes = [0; 4];

@@ -103,8 +103,8 @@ where
     S: AsyncRead + AsyncWrite + Unpin,
 {
     /// An owner that opens its line with `open`, now and whenever it has to be opened again; takes its commands
-    /// from `command`, publishes into `samples` (one for each unit of the wiring, Alicat units first, then PWM outputs),
-    /// and ends with the set-points at zero when `stop` is set.
+    /// from `command`, publishes into `samples` (one for each unit of the wiring, Alicat units first, then PWM
+    /// outputs), and ends with the set-points at zero when `stop` is set.
     pub fn new(
         wiring: &SerialWiring,
         clock: Clock,

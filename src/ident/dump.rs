@@ -4,20 +4,21 @@
 //! I phi'' + ct phi' + kt phi + M_h(phi) = a(phi) P(t)
 //! ```
 //!
-//! with the measured P(t), linear between its samples; kt and the hysteresis M_h from a staircase ([`super::sweep`]), a(phi)
-//! the moment of the exact fibre kinematics at the axial equilibrium. The motion is computed and its parameters are
-//! changed until it is seen (an output-error fit), so that neither the regulator's lag nor what the pressure does
+//! with the measured P(t), linear between its samples; kt and the hysteresis M_h from a staircase ([`super::sweep`]),
+//! a(phi) the moment of the exact fibre kinematics at the axial equilibrium. The motion is computed and its parameters
+//! are changed until it is seen (an output-error fit), so that neither the regulator's lag nor what the pressure does
 //! meanwhile matters. Beside ct the angle at the start and the offset of the sensor are free.
 //!
-//! First without inertia: a relaxation, whose time constants add up to ct/kt. Where the samples speak for an inertia it is
-//! fitted, too; else it is said not to be identifiable.
+//! First without inertia: a relaxation, whose time constants add up to ct/kt. Where the samples speak for an inertia it
+//! is fitted, too; else it is said not to be identifiable.
 //!
-//! **Integration**: implicit midpoint, second order, in steps of at most 2 ms (1e-4 of a time constant of 58 ms); without inertia it is that of the
-//! relaxation. **Uncertainty**: that of least squares with the noise of the residuals, times its density at rest where
-//! they are correlated (noise of the pressure comes through the FREE as slow noise), and what the uncertainties of
-//! kt and of the sensor's delay add. Between its samples the pressure is not known: where a corner of its course falls is
-//! worth up to a twelfth of their interval squared over the regulator's lag. That is of second order in the interval, so
-//! what every other sample alone says is off four times as much, and a third of the difference is what is added.
+//! **Integration**: implicit midpoint, second order, in steps of at most 2 ms (1e-4 of a time constant of 58 ms);
+//! without inertia it is that of the relaxation. **Uncertainty**: that of least squares with the noise of the
+//! residuals, times its density at rest where they are correlated (noise of the pressure comes through the FREE as slow
+//! noise), and what the uncertainties of kt and of the sensor's delay add. Between its samples the pressure is not
+//! known: where a corner of its course falls is worth up to a twelfth of their interval squared over the regulator's
+//! lag. That is of second order in the interval, so what every other sample alone says is off four times as much, and a
+//! third of the difference is what is added.
 
 use nalgebra::DMatrix;
 use thiserror::Error;
@@ -158,8 +159,8 @@ struct Motion {
     inertia: f64,
 }
 
-/// Fits ct, and I where it is identifiable, to `dump` of `free` (its geometry and axial parameters are taken as known; its
-/// inertia is where the search for one begins), with kt and hysteresis of a staircase.
+/// Fits ct, and I where it is identifiable, to `dump` of `free` (its geometry and axial parameters are taken as known;
+/// its inertia is where the search for one begins), with kt and hysteresis of a staircase.
 pub fn fit_dump(dump: &Dump, free: &Free, stiffness: Measured, hysteresis: &Hysteresis) -> Result<DumpFit, DumpError> {
     check(dump, stiffness)?;
     let model = Lumped::new(*free, Law::Nonlinear(Kinematics::Exact))?;

@@ -54,8 +54,8 @@ impl Least {
 }
 
 /// Minimises the sum of squares of what `residuals` gives (`None` outside its domain) from `start`. `scale` is what
-/// counts as a large change of each parameter; without any, the sum is all there is. `None` if the start is outside, there are no more residuals than
-/// parameters, or a parameter has no influence there.
+/// counts as a large change of each parameter; without any, the sum is all there is. `None` if the start is outside,
+/// there are no more residuals than parameters, or a parameter has no influence there.
 pub(super) fn least_squares(
     start: &[f64],
     scale: &[f64],

@@ -7,17 +7,17 @@
 //! ```
 //!
 //! with a(y), force or moment per pressure, from the fibre kinematics (3.1). Its scale depends on the fibres' radius
-//! and winding angle (a torque on the cube of the radius), so it is not believed: the factor b is fitted where there are
-//! several pressures. The hysteresis has been found by steps of pressure, in the same scale. What is read with an error
-//! is y, so y is fitted by the loads,
+//! and winding angle (a torque on the cube of the radius), so it is not believed: the factor b is fitted where there
+//! are several pressures. The hysteresis has been found by steps of pressure, in the same scale. What is read with an
+//! error is y, so y is fitted by the loads,
 //!
 //! ```text
 //! y = y0 + F/k + (b/k) (P a - m) + h d         d = +1 loading, -1 unloading, 0 at the first point of a pressure
 //! ```
 //!
 //! linear in y0, 1/k, b/k and the half-width h of what hysteresis is left. Each pressure is fitted by itself as well,
-//! with the b of all: whether k varies with the pressure is told with an uncertainty. What the pressures differ by beyond
-//! their own uncertainties is in that of k: then the geometry is not quite the FREE's.
+//! with the b of all: whether k varies with the pressure is told with an uncertainty. What the pressures differ by
+//! beyond their own uncertainties is in that of k: then the geometry is not quite the FREE's.
 
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
@@ -201,8 +201,8 @@ fn variation(own: &[(f64, Measured)], stiffness: f64) -> Option<Measured> {
     })
 }
 
-/// What the pressures differ by beyond their own uncertainties, as a standard uncertainty: the greatest deviation is the
-/// half-width of a uniform distribution.
+/// What the pressures differ by beyond their own uncertainties, as a standard uncertainty: the greatest deviation is
+/// the half-width of a uniform distribution.
 fn spread(own: &[(f64, Measured)], stiffness: f64) -> f64 {
     let beyond = |(_, k): &(f64, Measured)| ((k.value - stiffness).powi(2) - k.uncertainty.powi(2)).max(0.0);
     (own.iter().map(beyond).fold(0.0, f64::max) / 3.0).sqrt()

@@ -6,16 +6,16 @@
 //! a(phi) P = kt phi + c + sum w_i strain_i(phi, past)         w_i >= 0
 //! ```
 //!
-//! linear in kt, c and the weights w_i once the thresholds are chosen: the strains follow from the angles alone, in their
-//! order. What was before the sweep is not known; at its first turn, at the top, every element is strained to its
+//! linear in kt, c and the weights w_i once the thresholds are chosen: the strains follow from the angles alone, in
+//! their order. What was before the sweep is not known; at its first turn, at the top, every element is strained to its
 //! threshold, so it is fitted from there on. c is what the springs bear at the tare: what a cycle before it has left
 //! behind, and any constant moment. a(phi) is the moment per pressure of the fibre kinematics (3.1) at the axial
-//! equilibrium. Non-negative least squares of ten unknowns; thresholds on a grid from [`SHORTEST`] to [`LONGEST`] of the
-//! largest angle.
+//! equilibrium. Non-negative least squares of ten unknowns; thresholds on a grid from [`SHORTEST`] to [`LONGEST`] of
+//! the largest angle.
 //!
 //! The standard uncertainty of kt has two parts: that of the residuals and the columns in use, as if the residuals were
-//! independent; and, because those of a model that is not quite right are not, the variation of kt between the thirds of
-//! the range, as the half-width of a uniform distribution (over sqrt 3).
+//! independent; and, because those of a model that is not quite right are not, the variation of kt between the thirds
+//! of the range, as the half-width of a uniform distribution (over sqrt 3).
 
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
@@ -200,13 +200,13 @@ pub fn fit_sweep(points: &[RestPoint], free: &Free) -> Result<SweepFit, SweepErr
     })
 }
 
-/// The winding angle, rad, with which the fibres' moment has the shape over the angle that `points` show, and the fit with
-/// it, whose kt then belongs to that angle. `None` where the points do not tell it from the angle of `free`: within 10 % of
-/// that no shape fits best, or it is not known to 2 %.
+/// The winding angle, rad, with which the fibres' moment has the shape over the angle that `points` show, and the fit
+/// with it, whose kt then belongs to that angle. `None` where the points do not tell it from the angle of `free`:
+/// within 10 % of that no shape fits best, or it is not known to 2 %.
 ///
-/// What a FREE is made of is known to some per cent, and the shape is what a controller follows it by: a winding angle off
-/// by 3 % costs 3 % of kt between the ends of the range. Its standard uncertainty is that of least squares with residuals
-/// that are independent; kt's contains it.
+/// What a FREE is made of is known to some per cent, and the shape is what a controller follows it by: a winding angle
+/// off by 3 % costs 3 % of kt between the ends of the range. Its standard uncertainty is that of least squares with
+/// residuals that are independent; kt's contains it.
 pub fn fit_shape(points: &[RestPoint], free: &Free) -> Result<Option<(Measured, SweepFit)>, SweepError> {
     let given = fit_sweep(points, free)?;
     let at = |share: f64| fit_sweep(points, &Free { gamma: share * free.gamma, ..*free });
@@ -330,8 +330,8 @@ mod tests {
         Hysteresis::new(thresholds, weights).unwrap()
     }
 
-    /// Two cycles, the first of them not down to zero, of a FREE with `stiffness` and elements that are not on the fit's grid, with `noise` (rad) in turn
-    /// up and down.
+    /// Two cycles, the first of them not down to zero, of a FREE with `stiffness` and elements that are not on the
+    /// fit's grid, with `noise` (rad) in turn up and down.
     fn sweep(free: &Free, stiffness: f64, noise: f64) -> Vec<RestPoint> {
         let (hysteresis, mut state) = (truth(), HysteresisState::default());
         let model = Lumped::new(*free, Law::Nonlinear(Kinematics::Exact)).unwrap();

@@ -96,8 +96,8 @@ impl Hysteresis {
         self.strains(state, angle).iter().zip(&self.weights).map(|(strain, w)| strain * w).sum()
     }
 
-    /// The same, against the rest that a full cycle in the positive direction leaves behind ([`HysteresisState::rested`]):
-    /// there the angle is counted from, and the springs bear what the elements hold.
+    /// The same, against the rest that a full cycle in the positive direction leaves behind
+    /// ([`HysteresisState::rested`]): there the angle is counted from, and the springs bear what the elements hold.
     pub fn moment_from_rest(&self, state: &HysteresisState, angle: f64) -> f64 {
         self.moment(state, angle) + self.saturation()
     }

@@ -40,8 +40,8 @@ const LONGEST_STEP: f64 = 2e-3;
 const MANY_STEPS: f64 = 1e6;
 
 /// Open-loop response of the nonlinear model to a pressure history: (s, phi), m and rad, at each of `times` (s),
-/// with `pressures` (Pa) linear between them. Starts at rest, s = phi = 0, with the `hysteresis` as a full cycle has left
-/// it. Its corners fall into steps of at most 2 ms: what a step overlooks, the next one makes good.
+/// with `pressures` (Pa) linear between them. Starts at rest, s = phi = 0, with the `hysteresis` as a full cycle has
+/// left it. Its corners fall into steps of at most 2 ms: what a step overlooks, the next one makes good.
 ///
 /// A history of more than a million such steps is cut into as many longer ones; the method damps what is then faster
 /// than a step.

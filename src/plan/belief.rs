@@ -8,8 +8,8 @@
 //!     k = C h / (h.C h + noise^2)      u += k (measured - predicted)      C -= k (C h)^T
 //! ```
 //!
-//! A reading's own noise is white. What else it is off by (the fusion drifts, the linear model is off by the same amount
-//! for a while) successive readings share, so that of it a reading counts only for its share of `ALIKE`.
+//! A reading's own noise is white. What else it is off by (the fusion drifts, the linear model is off by the same
+//! amount for a while) successive readings share, so that of it a reading counts only for its share of `ALIKE`.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -26,7 +26,8 @@ pub(super) const LAG: usize = SCATTER + 1;
 /// Standard deviations to begin with: a winding machine's degree; 5 % each of the rubber and of the wall.
 const ANGLE: f64 = std::f64::consts::PI / 180.0;
 const BATCH: f64 = 0.05;
-/// kg, s. A payload is hardly seen in a rotation: of those that nobody has said the likely ones are a plate's own weight.
+/// kg, s. A payload is hardly seen in a rotation: of those that nobody has said the likely ones are a plate's own
+/// weight.
 const LOAD: f64 = 0.01;
 const DELAY: f64 = 0.02;
 /// s, after which what is not seen again is as unknown as at first.
@@ -68,7 +69,8 @@ impl Belief {
         self.mean.fixed_rows::<SCATTER>(0).into_owned()
     }
 
-    /// What hangs on the plate beyond its own mass, kg; may be negative, where the plate is lighter than it is said to be.
+    /// What hangs on the plate beyond its own mass, kg; may be negative, where the plate is lighter than it is said to
+    /// be.
     pub fn payload(&self) -> f64 {
         self.mean[PAYLOAD]
     }
@@ -78,8 +80,8 @@ impl Belief {
         self.mean[LAG]
     }
 
-    /// The unknowns and their standard deviations: winding angles (rad), rubbers and walls (relative) of A, B, C, D, payload
-    /// (kg), lag (s).
+    /// The unknowns and their standard deviations: winding angles (rad), rubbers and walls (relative) of A, B, C, D,
+    /// payload (kg), lag (s).
     pub fn unknowns(&self) -> [(f64, f64); UNKNOWNS] {
         std::array::from_fn(|i| (self.mean[i], self.covariance[(i, i)].max(0.0).sqrt()))
     }

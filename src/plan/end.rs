@@ -53,7 +53,8 @@ impl fmt::Display for Ended {
 }
 
 impl Rest<'_> {
-    /// The stable equilibrium at `to` (Pa), followed from `from` along the straight way between; else where the way ends.
+    /// The stable equilibrium at `to` (Pa), followed from `from` along the straight way between; else where the way
+    /// ends.
     pub fn onward(&self, from: &State, to: &[f64; 4]) -> Result<State, Box<Ended>> {
         match self.module().equilibrium_from(from, &self.loads(to)) {
             Ok(state) if state.stable() => Ok(state),

@@ -51,8 +51,8 @@ impl Figure {
     }
 }
 
-/// Of a plate's rotation (w, x, y, z) from rest, rad: the turn about its own axis, -pi to pi (what is left when the tilt is
-/// undone the shortest way), and the angle between its normal and z.
+/// Of a plate's rotation (w, x, y, z) from rest, rad: the turn about its own axis, -pi to pi (what is left when the
+/// tilt is undone the shortest way), and the angle between its normal and z.
 pub fn turn_and_tilt([w, x, y, z]: [f64; 4]) -> (f64, f64) {
     let turn = (2.0 * z.atan2(w) + PI).rem_euclid(TAU) - PI;
     let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z));

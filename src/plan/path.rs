@@ -97,7 +97,8 @@ impl PathPlan {
 
 /// The pressures of `targets` at `times` (s, rising). The first is found from rest, wherever it is ([`inverse::cold`]),
 /// or, with `start`, from that equilibrium within the slew rate over the first interval; the others each within the
-/// slew rate of the one before. A target out of reach is projected and counted. `progress` is told how many are planned.
+/// slew rate of the one before. A target out of reach is projected and counted. `progress` is told how many are
+/// planned.
 ///
 /// # Errors
 /// Times that do not rise or are not as many as targets; see [`inverse::cold`].

@@ -1,8 +1,8 @@
 //! A module's plate led along its path.
 //!
 //! [`Pursuit::see`] takes what is measured of the plate (its rotation, and its position where something outside sees
-//! it) with the pressures that made it, and learns ([`Belief`]). [`Pursuit::correct`] looks a little ahead, at where the
-//! plate is going to be by the model and all that was learned, and says by how much the plan's pressures are to be
+//! it) with the pressures that made it, and learns ([`Belief`]). [`Pursuit::correct`] looks a little ahead, at where
+//! the plate is going to be by the model and all that was learned, and says by how much the plan's pressures are to be
 //! changed: half of a Gauss-Newton step a turn,
 //!
 //! ```text
@@ -21,7 +21,8 @@ use super::scatter::{Family, SCATTER};
 use super::{FREES, Rest};
 use crate::fem::module::{Loads, State};
 
-/// White noise of a measured rotation about each axis, rad: the most that `freerig calibrate imu` lets pass. Of a pressure, Pa.
+/// White noise of a measured rotation about each axis, rad: the most that `freerig calibrate imu` lets pass. Of a
+/// pressure, Pa.
 const ROTATION: f64 = 0.2 * std::f64::consts::PI / 180.0;
 const PRESSURE: f64 = 0.01 * crate::units::PASCAL_PER_PSI;
 /// What the unknowns' linear model leaves of a rotation, rad: of six modules, as far from theirs as a batch is, 0.06 to
@@ -29,8 +30,8 @@ const PRESSURE: f64 = 0.01 * crate::units::PASCAL_PER_PSI;
 const LINEAR: f64 = 0.1 * std::f64::consts::PI / 180.0;
 /// Error of a target, m, that a change of a pressure by 1 Pa is worth (0.02 mm and 1 psi).
 const WEIGHT: f64 = 2e-5 / crate::units::PASCAL_PER_PSI;
-/// Share of a step that is taken. What was learned moves with the pressures too, which the Jacobian does not know: where a
-/// module is far from its model, whole steps swing about the minimum.
+/// Share of a step that is taken. What was learned moves with the pressures too, which the Jacobian does not know:
+/// where a module is far from its model, whole steps swing about the minimum.
 const SHARE: f64 = 0.5;
 /// A model that has learned all it can is still off by so much, m: a pose is not judged by less.
 const MODEL: f64 = 5e-4;
@@ -145,8 +146,8 @@ impl<'a> Pursuit<'a> {
         Some(Held { position, deviation, believed })
     }
 
-    /// By how much the pressures of A, B, C, D that the plan has where its `target` (m) is, ahead of now, are to be changed, Pa;
-    /// none where the model has no stable equilibrium there.
+    /// By how much the pressures of A, B, C, D that the plan has where its `target` (m) is, ahead of now, are to be
+    /// changed, Pa; none where the model has no stable equilibrium there.
     pub fn correct(&mut self, target: &Vector3<f64>, ahead: &Ahead) -> Option<[f64; 4]> {
         let plan = Vector4::from(ahead.pressures);
         let low = (-plan).map(|p| p.clamp(-ahead.most, 0.0));

@@ -1,9 +1,10 @@
 //! What FREEs that are not quite their model's do to the plate.
 //!
 //! No two FREEs of a batch are the same. What counts of their scatter is the winding angle, which decides how pressure
-//! is shared between length and twist, the rubber's stiffness, and the wall, which carries the fibres farther out as well.
-//! [`Family`] holds the module and, for each of these unknowns, the rod with a little more of it. On a held plate an
-//! unknown u is a wrench w u, w by the change of the rod's law at the strains as they are ([`Module::pushed_by`]), so that
+//! is shared between length and twist, the rubber's stiffness, and the wall, which carries the fibres farther out as
+//! well. [`Family`] holds the module and, for each of these unknowns, the rod with a little more of it. On a held plate
+//! an unknown u is a wrench w u, w by the change of the rod's law at the strains as they are ([`Module::pushed_by`]),
+//! so that
 //!
 //! ```text
 //!     x(u) = x + K^-1 sum(w u)

@@ -47,7 +47,8 @@ pub struct Row {
     pub force: Option<f64>,
     /// On the support of a blocked FREE, N m.
     pub moment: Option<f64>,
-    /// How far a module's plate moves sideways under two neighbours' pressure (the paper's Case 4), mean of the four, m.
+    /// How far a module's plate moves sideways under two neighbours' pressure (the paper's Case 4), mean of the four,
+    /// m.
     pub sideways: Option<f64>,
     /// How far it moves along z under all four's (Case 1), m.
     pub lift: Option<f64>,

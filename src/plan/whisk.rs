@@ -1,14 +1,14 @@
 //! Whisks: closed figures of the plate, again and again.
 //!
-//! The paper's pattern moves one waveform round the four FREEs, a quarter of a period apart. The order matters. Crossing
-//! the square (A, B, D, C), highest and lowest are neighbours: the plate bends along one line as cos u while it turns as
-//! sin u, and their product moves it across as sin 2u: a figure eight. Round the square (A, B, C, D) highest and lowest
-//! are opposite, the turns cancel, and the plate draws a circle. How wide that eight is hangs on how the bending stiffness
-//! changes while the FREEs turn. At 60 deg and 4 +- 2 psi the section's law draws 10.7 x 4.7 mm: held at the pressed
-//! tube's own twist its EI rises with the pressure, held at the opposite one it falls. With an EI that rises with the
-//! pressure alone, as of a FREE that may turn, the same rods draw 10.6 x 2.5 mm, with one that does not change
-//! 10.6 x 5.0 mm; shear is worth 0.1 mm. freerig's own whisk is an eight of chosen size, place
-//! and frequency, whose pressures the inverse finds.
+//! The paper's pattern moves one waveform round the four FREEs, a quarter of a period apart. The order matters.
+//! Crossing the square (A, B, D, C), highest and lowest are neighbours: the plate bends along one line as cos u while
+//! it turns as sin u, and their product moves it across as sin 2u: a figure eight. Round the square (A, B, C, D)
+//! highest and lowest are opposite, the turns cancel, and the plate draws a circle. How wide that eight is hangs on how
+//! the bending stiffness changes while the FREEs turn. At 60 deg and 4 +- 2 psi the section's law draws 10.7 x 4.7 mm:
+//! held at the pressed tube's own twist its EI rises with the pressure, held at the opposite one it falls. With an EI
+//! that rises with the pressure alone, as of a FREE that may turn, the same rods draw 10.6 x 2.5 mm, with one that does
+//! not change 10.6 x 5.0 mm; shear is worth 0.1 mm. freerig's own whisk is an eight of chosen size, place and
+//! frequency, whose pressures the inverse finds.
 //!
 //! A whisk that lies past a critical point or outside the model's domain is answered with where it ends and, beside it,
 //! the largest one of its kind that does not: found by bisection of its scale, on the assumption that what is valid at

@@ -1,4 +1,5 @@
-//! One page and one Markdown text of a whole `freerig bench`: the machine, what takes how much longer elsewhere, every suite.
+//! One page and one Markdown text of a whole `freerig bench`: the machine, what takes how much longer elsewhere, every
+//! suite.
 
 use std::fs;
 use std::path::{Path, PathBuf};

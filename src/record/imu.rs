@@ -5,7 +5,7 @@ use nalgebra::{Quaternion, UnitQuaternion};
 use super::plot::{Line, Plot};
 use super::sheet::Sheet;
 use super::{Result, Run, palette};
-use crate::control::estimator::swing_twist;
+use crate::control::swing_twist::swing_twist;
 use crate::ident::imu::{AxisFit, StillFit};
 use crate::ident::pluck::{PluckFit, Reading, Release};
 use crate::signal::ImuHealth;
@@ -24,8 +24,8 @@ pub struct ImuReading {
 }
 
 impl Run {
-    /// Every good reading of the IMU of the FREE `subject` while the program ran, each once; `axis` is the FREE's in the
-    /// sensor's frame.
+    /// Every good reading of the IMU of the FREE `subject` while the program ran, each once; `axis` is the FREE's in
+    /// the sensor's frame.
     ///
     /// # Errors
     /// Where the samples cannot be read.

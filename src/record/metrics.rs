@@ -168,7 +168,8 @@ impl FreeMetrics {
         let (t, reference) = (&signals.t[window.clone()], &signals.reference[window.clone()]);
         let angle = &signals.angle[window.clone()];
         let angular = signals.quantity == Quantity::Angle;
-        // A FREE under a module's plate turns as the others let it: its angle says nothing of its own rest or hysteresis.
+        // A FREE under a module's plate turns as the others let it: its angle says nothing of its own rest or
+        // hysteresis.
         let sweep = signals.quantity == Quantity::Pressure && !signals.in_module;
         let (model_rmsd_rad, model_refusal) = match prediction {
             // A FREE of which nothing was asked moves within its noise.

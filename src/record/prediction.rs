@@ -3,8 +3,8 @@
 use super::signals::{Signals, interpolate};
 use crate::model::{Kinematics, Law, Load, Lumped, response};
 
-/// Angle by the nonlinear lumped model (exact kinematics) from the pressure that drives it, rad, one entry a record that
-/// is kept; the reason in words where the model cannot say.
+/// Angle by the nonlinear lumped model (exact kinematics) from the pressure that drives it, rad, one entry a record
+/// that is kept; the reason in words where the model cannot say.
 pub fn dynamic(signals: &Signals) -> Result<Vec<f64>, String> {
     if signals.in_module {
         return Err("its end is on a module's plate, which the lumped model does not know".into());

@@ -21,8 +21,8 @@ pub struct Quota {
 
 impl Quota {
     /// Makes room in `runs` for another run: removes the oldest until they take no more than [`Quota::most`] and
-    /// [`Quota::free`] bytes are free. Never one that may be in progress, and nothing but whole runs. Answers the ids of
-    /// those removed.
+    /// [`Quota::free`] bytes are free. Never one that may be in progress, and nothing but whole runs. Answers the ids
+    /// of those removed.
     ///
     /// # Errors
     /// [`RecordError::NoRoom`] where too little is free all the same; a folder that cannot be read or removed.

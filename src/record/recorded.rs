@@ -1,5 +1,5 @@
-//! What a run has recorded, as reports, metrics and comparisons want it: one walk through its samples, in bounded memory
-//! however long the run.
+//! What a run has recorded, as reports, metrics and comparisons want it: one walk through its samples, in bounded
+//! memory however long the run.
 //!
 //! Of a long run only every so many-th record is kept, for plots and for what is read off them. The errors and the
 //! highest pressure are those of every record.
@@ -253,8 +253,9 @@ mod tests {
     use crate::record::{FreeDocument, RecordOptions, Recorder, StartDocument, StopDocument};
     use crate::signal::{TickRecord, Truth};
 
-    /// A run of 1000 records, 2 ms apart; the program runs from the 100th to the 899th. The reference is 1, the angle goes
-    /// from 0 to 1 over the program and is no estimate at its 300th record; its true value is 0.5 but for one record.
+    /// A run of 1000 records, 2 ms apart; the program runs from the 100th to the 899th. The reference is 1, the angle
+    /// goes from 0 to 1 over the program and is no estimate at its 300th record; its true value is 0.5 but for one
+    /// record.
     fn recorded() -> (tempfile::TempDir, Run) {
         let runs = tempfile::tempdir().unwrap();
         let free = FreeDocument { name: "paper".into(), ..FreeDocument::default() };

@@ -17,7 +17,8 @@ use crate::units::PASCAL_PER_PSI;
 /// Share of a report's making that its first reading of the samples takes.
 const READING: f64 = 0.4;
 
-/// Makes the report of `run` in its folder; returns where it is, and its figures. `watch` is told how far it is, 0 to 1.
+/// Makes the report of `run` in its folder; returns where it is, and its figures. `watch` is told how far it is, 0 to
+/// 1.
 ///
 /// # Errors
 /// Where the samples cannot be read or the file cannot be written.

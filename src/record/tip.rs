@@ -1,6 +1,6 @@
-//! `tip.csv` of a run that followed a path: where the plate was held to be while it ran, what was learned of the module,
-//! and what a tracker saw. A line is handed to the operating system as soon as it is written: what a killed run leaves
-//! behind can be read.
+//! `tip.csv` of a run that followed a path: where the plate was held to be while it ran, what was learned of the
+//! module, and what a tracker saw. A line is handed to the operating system as soon as it is written: what a killed run
+//! leaves behind can be read.
 
 use std::fs::File;
 use std::io::Write;
@@ -53,8 +53,8 @@ pub struct TipLine {
     pub deviation: Vector3<f64>,
     /// What a tracker saw of it, m, and whether that was believed.
     pub tracker: Option<(Vector3<f64>, bool)>,
-    /// Winding angles (rad, of their magnitude), stiffnesses of the rubber and thicknesses of the wall (relative) of A, B, C,
-    /// D by which they differ from their calibrations, and a payload, kg.
+    /// Winding angles (rad, of their magnitude), stiffnesses of the rubber and thicknesses of the wall (relative) of A,
+    /// B, C, D by which they differ from their calibrations, and a payload, kg.
     pub unknowns: [f64; 13],
 }
 

@@ -116,8 +116,8 @@ fn over_pressure(module: &ModuleDrawing<'_>) -> Vec<(String, Plot)> {
     QUANTITIES.iter().map(plot).collect()
 }
 
-/// Writes the recording of `modules` to `path`: paths as lines, the plates found as points, and each path's plate on the
-/// timeline `pressure_pa`.
+/// Writes the recording of `modules` to `path`: paths as lines, the plates found as points, and each path's plate on
+/// the timeline `pressure_pa`.
 ///
 /// # Errors
 /// Where rerun refuses it or the file cannot be written.

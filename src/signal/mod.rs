@@ -28,8 +28,8 @@ pub struct Command {
     pub vent: bool,
 }
 
-/// What the model thread adds to the pressures of a module's plan: latest value only, and the older it is the less of it
-/// counts (`control::trim`).
+/// What the model thread adds to the pressures of a module's plan: latest value only, and the older it is the less of
+/// it counts (`control::trim`).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Trim {
     /// When it was made.

@@ -4,8 +4,8 @@ use std::f64::consts::PI;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-/// How a sensor is mounted in whose frame z of what carries it is `axis` (of any length but zero): the short way, from the
-/// carrier's frame to the sensor's; opposite directions have none, and turn about x.
+/// How a sensor is mounted in whose frame z of what carries it is `axis` (of any length but zero): the short way, from
+/// the carrier's frame to the sensor's; opposite directions have none, and turn about x.
 pub fn mounting(axis: [f64; 3]) -> UnitQuaternion<f64> {
     UnitQuaternion::rotation_between(&Vector3::z(), &axis.into())
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PI))

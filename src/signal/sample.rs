@@ -116,8 +116,9 @@ pub struct PressureSample {
 
 impl PressureSample {
     /// What is known of a FREE whose regulator (`self`) measures nothing and whose pressure `sensor` measures: the
-    /// sensor's reading, with the regulator's set-point and what either reports. It is lost where either is, and once, at
-    /// `now`, the regulator has been silent for `patience`, it is as old as that silence: what presses must be heard of.
+    /// sensor's reading, with the regulator's set-point and what either reports. It is lost where either is, and once,
+    /// at `now`, the regulator has been silent for `patience`, it is as old as that silence: what presses must be heard
+    /// of.
     pub fn measured_by(self, sensor: Self, patience: Duration, now: Time) -> Self {
         use RegulatorHealth::{Absent, Lost};
         let health = match (self.health, sensor.health) {

@@ -46,7 +46,8 @@ pub struct PlantSim {
 pub struct AnalogueSim {
     /// Channel of the DAC (0 to 3) that it really hangs on, whatever rig.toml says; of no matter behind a PWM output.
     pub channel: usize,
-    /// Nominal code at which it begins to open; the true one is off by the seeded scatter of [`AnalogueSim::ZERO_SPREAD`].
+    /// Nominal code at which it begins to open; the true one is off by the seeded scatter of
+    /// [`AnalogueSim::ZERO_SPREAD`].
     pub zero_code: f64,
     /// Nominal pressure per code above it, Pa; the true one is off by the seeded scatter.
     pub pascals_per_code: f64,

@@ -1,6 +1,6 @@
 //! The controller around one simulated FREE, with what the devices do to time and numbers: the IMU's rate, delay, noise
-//! and quantisation, and the regulator's own period. No driver, no bus and no thread: thousands of times faster than the
-//! clock. What `freerig bench --control` runs, and the tests of the controllers.
+//! and quantisation, and the regulator's own period. No driver, no bus and no thread: thousands of times faster than
+//! the clock. What `freerig bench --control` runs, and the tests of the controllers.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -365,8 +365,9 @@ pub fn follow(control: &ControlConfig, bench: &BenchConfig, sequence: &Sequence)
     Ok(Followed { rms: rms.to_radians(), peak: peak.to_radians(), stable })
 }
 
-/// What a calibration brings: every parameter off by as much as an identification errs, and hysteresis weights fitted to a slow staircase of the
-/// very plant (0 to 80 deg and nested loops), by non-negative least squares over a grid of thresholds that is not the plant's.
+/// What a calibration brings: every parameter off by as much as an identification errs, and hysteresis weights fitted
+/// to a slow staircase of the very plant (0 to 80 deg and nested loops), by non-negative least squares over a grid of
+/// thresholds that is not the plant's.
 pub fn calibrated(bench: &BenchConfig, seed: u64) -> Result<(Free, Hysteresis), ControlledError> {
     let mut plant = Plant::new(bench);
     let mut rng = Pcg64::seed_from_u64(seed);

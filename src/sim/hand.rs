@@ -1,7 +1,7 @@
 //! The hand of a person at the simulated bench: it turns the FREE's end, holds it, and lets it go.
 //!
-//! A grip is a moment that grows, stands, and is gone from one substep of the plant to the next; it damps what it holds.
-//! When and how far are a little different each time, from the plant's seed.
+//! A grip is a moment that grows, stands, and is gone from one substep of the plant to the next; it damps what it
+//! holds. When and how far are a little different each time, from the plant's seed.
 
 use std::time::Duration;
 

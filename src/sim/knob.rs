@@ -1,4 +1,5 @@
-//! The knob on a simulated FREE's free end: friction that holds it where it stands, two stops, and what returns it to off.
+//! The knob on a simulated FREE's free end: friction that holds it where it stands, two stops, and what returns it to
+//! off.
 //!
 //! Coulomb friction has two branches, and which one is decided at the beginning of every part of a step: a knob at rest
 //! is *held* as long as the moment on it is not above the friction, and then neither turns nor gains a rate; any other

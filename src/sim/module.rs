@@ -29,9 +29,9 @@ pub struct ModuleSim {
 }
 
 impl ModuleSim {
-    /// The module that is really there, with its payload: wall and rubber of each FREE are off by its scatter, drawn from the bench's seed,
-    /// and the winding angle by a degree where they are by 5 %. Lengths and places are measured when a module is built,
-    /// and are right.
+    /// The module that is really there, with its payload: wall and rubber of each FREE are off by its scatter, drawn
+    /// from the bench's seed, and the winding angle by a degree where they are by 5 %. Lengths and places are measured
+    /// when a module is built, and are right.
     pub fn true_scene(&self, bench: &BenchConfig) -> ModuleScene {
         let mut scene = self.scene.clone();
         scene.plate_mass += self.payload;

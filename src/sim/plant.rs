@@ -225,7 +225,8 @@ impl Plant {
         (pressure + noise).min(1.1 * spec.full_scale)
     }
 
-    /// Motion of a FREE's end at `time`, as a sensor fixed to it with its z along the FREE sees it, by interpolation between the remembered states (2 s of them).
+    /// Motion of a FREE's end at `time`, as a sensor fixed to it with its z along the FREE sees it, by interpolation
+    /// between the remembered states (2 s of them).
     pub fn orientation(&mut self, free: usize, time: Time) -> Orientation {
         self.advance_to(time);
         let (before, after, x) = self.around(time);

@@ -16,8 +16,8 @@ use super::chips::Orientation;
 use crate::fem::module::{Loads, Module, ModuleError, State};
 use crate::signal::Truth;
 
-/// Change of a pressure after which the equilibrium is linearised anew, Pa (0.05 psi): what is left of the equilibrium's
-/// curvature over that is some micrometres.
+/// Change of a pressure after which the equilibrium is linearised anew, Pa (0.05 psi): what is left of the
+/// equilibrium's curvature over that is some micrometres.
 const REACH: f64 = 345.0;
 
 /// What swings, and how it is damped.

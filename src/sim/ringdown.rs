@@ -1,6 +1,6 @@
 //! Synthetic ring-downs: the exact motion of a FREE that is let go, and what a sensor makes of it. The motion is the
-//! closed form of I phi'' + ct phi' + kt phi = 0 in every regime of damping, by its initial conditions; it shares nothing
-//! with the fit.
+//! closed form of I phi'' + ct phi' + kt phi = 0 in every regime of damping, by its initial conditions; it shares
+//! nothing with the fit.
 
 use std::f64::consts::TAU;
 

@@ -31,8 +31,8 @@ fn attempt(scenario: impl Fn(&place::Place)) {
     });
 }
 
-/// Puts an analogue regulator in the place of the serial one: nothing here is about the devices, and the simulated serial
-/// line is carried by the kernel's own work, which waits where every core is busy.
+/// Puts an analogue regulator in the place of the serial one: nothing here is about the devices, and the simulated
+/// serial line is carried by the kernel's own work, which waits where every core is busy.
 fn analogue(place: &place::Place) {
     let without = |text: String, from: &str, to: &str, instead: &str| {
         let (begin, end) = (text.find(from).unwrap(), text.find(to).unwrap());

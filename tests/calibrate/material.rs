@@ -134,7 +134,8 @@ fn the_papers_material_comes_out_of_files_within_its_uncertainty() {
     for (key, truth) in truths {
         let (value, uncertainty) = of(key);
         println!("{key} {value} +- {uncertainty}, truth {truth}");
-        // Three standard uncertainties, and they are worth something: 3 % (a quarter of alpha, for two specimens know mu to 2 %).
+        // Three standard uncertainties, and they are worth something: 3 % (a quarter of alpha, for two specimens know
+        // mu to 2 %).
         assert!((value - truth).abs() < 3.0 * uncertainty, "{key} {value} +- {uncertainty}, not {truth}");
         assert!(uncertainty < if key == "ogden_exponent" { 0.3 } else { 0.03 * truth }, "{key} {uncertainty}");
     }

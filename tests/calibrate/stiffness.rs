@@ -1,4 +1,5 @@
-//! ke and kt by known loads, pressure cycles, and what a calibration holds for, as a user meets them on the simulated rig.
+//! ke and kt by known loads, pressure cycles, and what a calibration holds for, as a user meets them on the simulated
+//! rig.
 
 use std::fmt::Write as _;
 use std::fs;

@@ -12,8 +12,8 @@ use crate::harness::*;
 
 #[test]
 fn a_cycle_of_arming_tracking_faulting_and_venting_allocates_nothing() {
-    // As many FREEs as a rig can hold: one under the model, with a step in its program, one under the PID, and a module's
-    // four, which follow pressures.
+    // As many FREEs as a rig can hold: one under the model, with a step in its program, one under the PID, and a
+    // module's four, which follow pressures.
     let spec =
         ModelSpec { hysteresis: Hysteresis::new([0.1; ELEMENTS], [1e-3; ELEMENTS]).unwrap(), ..ModelSpec::default() };
     let model = FreeControl { controller: ControllerKind::Model(spec), ..free_control(-40.0) };

@@ -127,7 +127,8 @@ fn readings_follow_the_motion_within_the_quantisation() {
         assert_eq!(sample.health, ImuHealth::Good);
         assert!(sample.sequence > before);
         before = sample.sequence;
-        // The frame is up to one period (at most 10.05 ms) old when it is read, its motion 4 ms older still; the time stamp is that of the transfer's start, three bytes (73 us) before the chip looks.
+        // The frame is up to one period (at most 10.05 ms) old when it is read, its motion 4 ms older still; the time
+        // stamp is that of the transfer's start, three bytes (73 us) before the chip looks.
         let lag = difference(RATE * sample.time.seconds_since(Time::ZERO), angle_about_z(&sample)) / RATE;
         // Half a count in both components of the half angle, at worst 2 * 2^-15 * sqrt 2, as a lag.
         let quantum = 2f64.powi(-14) * 1.5 / RATE;

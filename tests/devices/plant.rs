@@ -190,9 +190,9 @@ fn the_steady_state_is_the_models_static_angle_within_the_hysteresis() {
             let angle = plant.truth(0, at(4.0)).angle;
             let exact = model.static_angle(psi * PSI).unwrap();
             let range = model.static_angle(7.0 * PSI).unwrap();
-            // Without friction the ring-down (14 /s) has left e^-56 of the step. With it, the way up from the rest after
-            // a cycle lies below the springs alone by the loop's whole width, and by more where the FREE has softened:
-            // at 7 psi its stiffness has fallen by a third.
+            // Without friction the ring-down (14 /s) has left e^-56 of the step. With it, the way up from the rest
+            // after a cycle lies below the springs alone by the loop's whole width, and by more where the FREE has
+            // softened: at 7 psi its stiffness has fallen by a third.
             let tolerance = (1.5 * hysteresis * range).abs().max(1e-9);
             assert!((angle - exact).abs() <= tolerance, "{psi} psi, {hysteresis}: {angle} for {exact}");
             assert!(angle * free.direction() > 0.0);

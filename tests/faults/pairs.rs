@@ -1,4 +1,5 @@
-//! Faults that come together, or while the rig is busy with something else: arming, starting, calibrating, ramping down.
+//! Faults that come together, or while the rig is busy with something else: arming, starting, calibrating, ramping
+//! down.
 
 use std::path::Path;
 use std::sync::atomic::Ordering;

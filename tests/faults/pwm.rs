@@ -1,5 +1,5 @@
-//! A FREE on a microcontroller's PWM output, its pressure measured by an Alicat gauge on the same line: faults that come by
-//! way of the output.
+//! A FREE on a microcontroller's PWM output, its pressure measured by an Alicat gauge on the same line: faults that
+//! come by way of the output.
 
 use freerig::control::fault::Reaction;
 use freerig::daemon::Bench;

@@ -44,8 +44,8 @@ fn smeared_fibres_turn_too_far_by_what_physics_says_of_them() {
 
 #[test]
 fn the_certified_range_is_what_the_seeded_scenes_say() {
-    // A few buckets of the stored table: its largest errors are those of the seeds that it names, to its last digit, and
-    // another scene of the bucket has no larger ones.
+    // A few buckets of the stored table: its largest errors are those of the seeds that it names, to its last digit,
+    // and another scene of the bucket has no larger ones.
     for bucket in [9, 12, 24, 27] {
         let row = Row::stored(bucket).unwrap_or_else(|| panic!("{:?} is certified", Bucket::of_seed(bucket as u64)));
         assert!(row.scenes >= 19, "{row:?}");
@@ -64,8 +64,8 @@ fn the_certified_range_is_what_the_seeded_scenes_say() {
 
 #[test]
 fn what_is_certified_is_chosen_at_once_and_honest() {
-    // Scenes that the table has not seen. Each is beyond the largest error of twenty with a probability of 1 / 21: one of
-    // six is (1 000 059, by a hundredth of its estimate), two would be too many, 3 %.
+    // Scenes that the table has not seen. Each is beyond the largest error of twenty with a probability of 1 / 21: one
+    // of six is (1 000 059, by a hundredth of its estimate), two would be too many, 3 %.
     let mut missed = Vec::new();
     for seed in [1_000_002, 1_000_014, 1_000_017, 1_000_029, 1_000_032, 1_000_059] {
         let (scene, _) = Scene::seeded(seed);

@@ -24,7 +24,8 @@ fn the_law_is_the_sections_between_the_points_too() {
         let built = SectionLaw::build(&request(degrees)).unwrap();
         let errors = built.errors();
         assert!(errors.states >= 10, "{errors:?}");
-        // Position errors of a rod of 130 mm: its length times the stretch's, a plate's radius of 20 mm times the turn's.
+        // Position errors of a rod of 130 mm: its length times the stretch's, a plate's radius of 20 mm times the
+        // turn's.
         assert!(errors.stretch < 3e-4 && 0.13 * errors.twist < 4e-3, "{errors:?}");
         // Mesh level 1 leaves about 0.4 % of blocked loads.
         assert!(errors.mesh < 6e-3, "{errors:?}");

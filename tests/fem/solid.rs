@@ -79,8 +79,8 @@ fn line_fibres_push_and_turn_the_support_as_the_reference_on_its_mesh() {
 
 #[test]
 fn strips_at_mid_length_are_the_long_tube() {
-    // End effects die out over two or three radii: a tube of 50 mm is long in its middle. The section's tables are exact
-    // to 2e-5; what is left here is the mesh's.
+    // End effects die out over two or three radii: a tube of 50 mm is long in its middle. The section's tables are
+    // exact to 2e-5; what is left here is the mesh's.
     let cases = [(40.0, 0.4, "section.csv"), (60.0, 0.4, "section.csv")];
     let widths = [(40.0, 0.2, "section_b0.2.csv"), (40.0, 0.97, "section_b0.97.csv")];
     for (degrees, width, name) in cases.into_iter().chain(widths) {

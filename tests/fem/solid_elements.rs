@@ -247,8 +247,8 @@ fn a_thick_bare_tube_is_the_closed_solution_at_mid_length() {
 
 #[test]
 fn the_local_bulk_modulus_leaves_the_limit_alone() {
-    // The pressure of the sphere at a given volume, with k from 0 to 2 mu: each mesh halving brings all of them nearer to
-    // the closed solution, and to each other, by more than second order.
+    // The pressure of the sphere at a given volume, with k from 0 to 2 mu: each mesh halving brings all of them nearer
+    // to the closed solution, and to each other, by more than second order.
     let (mu, alpha, c) = (1.0, 1.2, 0.8);
     let exact = integral(1.0, 1.5, |big| {
         let l = (big.powi(3) + c).cbrt() / big;

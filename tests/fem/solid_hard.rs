@@ -42,10 +42,10 @@ fn the_bulk_modulus_tends_to_the_incompressible_rubber() {
 }
 
 /// How far the solid is from the long tube, relative and as a vector (along, round): free, in stretch and twist at
-/// mid-length; blocked, in force and moment, of which the ends take a part, from a long tube that is held as the solid's
-/// middle is. The ends' reach grows as `Ro / tan G` for fibres that are nearly axial: there the tube is twelve times as
-/// long. The section's mesh is the solid's across the tube: what is left is what two formulations make of the same coarse
-/// elements, less than what refining those would change.
+/// mid-length; blocked, in force and moment, of which the ends take a part, from a long tube that is held as the
+/// solid's middle is. The ends' reach grows as `Ro / tan G` for fibres that are nearly axial: there the tube is twelve
+/// times as long. The section's mesh is the solid's across the tube: what is left is what two formulations make of the
+/// same coarse elements, less than what refining those would change.
 fn from_the_section(tube: &Tube, ends: Ends, psi: f64) -> f64 {
     let radius = tube.outer_radius();
     let length = LENGTH.max(12.0 * radius / tube.gamma.tan());
@@ -72,8 +72,8 @@ fn from_the_section(tube: &Tube, ends: Ends, psi: f64) -> f64 {
 
 #[test]
 fn extreme_angles_are_solved() {
-    // (deg, psi): nearly axial fibres, and nearly hoops. Twice as many elements both ways move the solid by 3e-3 (85 deg,
-    // free).
+    // (deg, psi): nearly axial fibres, and nearly hoops. Twice as many elements both ways move the solid by 3e-3 (85
+    // deg, free).
     for (degrees, psi) in [(0.5, 1.0), (5.0, 2.0), (85.0, 5.0), (89.5, 5.0)] {
         for ends in [Ends::FREE, Ends::BLOCKED] {
             let off = from_the_section(&line(degrees), ends, psi);
@@ -141,8 +141,8 @@ fn the_work_of_the_gas_is_what_the_support_gets_back() {
 
 #[test]
 fn a_closed_cycle_of_tip_and_pressure_does_no_work() {
-    // dPi = -V dP - F dz - M dphi is exact on any mesh: round a closed way of held states it sums to nothing. Simpson's rule
-    // on each side leaves (1/90) (h/2)^5 of the fourth derivative, far below 1e-3 of what single sides do.
+    // dPi = -V dP - F dz - M dphi is exact on any mesh: round a closed way of held states it sums to nothing. Simpson's
+    // rule on each side leaves (1/90) (h/2)^5 of the fourth derivative, far below 1e-3 of what single sides do.
     let tube = line(40.0);
     let mesh = Mesh { around: 1, first: 4e-3, ..coarse(&tube) };
     let mut known: Vec<([f64; 3], SolidEquilibrium)> = Vec::new();

@@ -60,8 +60,8 @@ fn check(name: &str, add: impl Fn(&Element, bool, &mut Contribution)) {
             })
             .collect();
         for (decade, pair) in (1..).zip(remainders.windows(2)) {
-            // The cubic term is of the order of the step beside the square one, and moves the slope by as much; the last
-            // remainder is at 1e-10 of the force, above rounding.
+            // The cubic term is of the order of the step beside the square one, and moves the slope by as much; the
+            // last remainder is at 1e-10 of the force, above rounding.
             let order = (pair[0] / pair[1]).log10();
             let bound = 2.0 * 10f64.powi(-decade) + 2e-3;
             assert!((order - 2.0).abs() < bound, "{name}, seed {seed}: {order} {remainders:?}");

@@ -1,5 +1,5 @@
-//! Damping from a dump through a lagged regulator: the motion is integrated by the lumped model's own integrator with the
-//! hysteresis beside it, which the fit does not use, and seen by the bench's sensors.
+//! Damping from a dump through a lagged regulator: the motion is integrated by the lumped model's own integrator with
+//! the hysteresis beside it, which the fit does not use, and seen by the bench's sensors.
 
 use freerig::ident::{Dump, DumpError, DumpFit, Measured, fit_dump};
 use freerig::model::{Free, Hysteresis, HysteresisState, Kinematics, Law, Lumped, LumpedState};

@@ -222,8 +222,8 @@ fn the_thick_tube_is_the_sections_without_fibres() {
             let found = section.solve(share * MU, ends).unwrap();
             let (pressure, stretch) = bare.pressure(&law, found.outer_radius_mean, 1.0).unwrap();
             let growth = found.outer_radius_mean / (inner_radius + wall) - 1.0;
-            // Eight quadratic elements through the wall leave 1e-6 of radius and stretch; the linear law's terms of second
-            // order are some times its strain.
+            // Eight quadratic elements through the wall leave 1e-6 of radius and stretch; the linear law's terms of
+            // second order are some times its strain.
             let tolerance = if matches!(law, Law::Linear { .. }) { 1e-4 + 10.0 * growth } else { 1e-4 };
             assert!((pressure / (share * MU) - 1.0).abs() < tolerance, "{law:?} {axial:?}: {pressure}");
             assert!((stretch - found.stretch).abs() < tolerance * growth, "{law:?} {axial:?}: {stretch}");

@@ -1,5 +1,5 @@
-//! Damping by plucks against simulated FREEs whose truth is known: their friction has other elements than the fit's, their
-//! hand is not exact, and the sensor is late, noisy, quantised and read a little after its frames.
+//! Damping by plucks against simulated FREEs whose truth is known: their friction has other elements than the fit's,
+//! their hand is not exact, and the sensor is late, noisy, quantised and read a little after its frames.
 
 use std::time::Duration;
 

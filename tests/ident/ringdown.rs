@@ -1,5 +1,5 @@
-//! The ring-down fit's hard cases, each with its outcome. What it may be off by is the Cramer-Rao bound of the samples it
-//! was given: the covariance of the best unbiased estimate there can be, from the derivatives of the true motion.
+//! The ring-down fit's hard cases, each with its outcome. What it may be off by is the Cramer-Rao bound of the samples
+//! it was given: the covariance of the best unbiased estimate there can be, from the derivatives of the true motion.
 
 use std::f64::consts::TAU;
 

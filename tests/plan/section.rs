@@ -17,8 +17,8 @@ pub fn module(gamma_deg: f64, resolution: Resolution) -> Module {
 pub enum Bending {
     /// Nothing.
     Own,
-    /// EI by the pressure alone, as of a FREE that may turn: a section that is held from turning bends more easily, as the
-    /// solid confirms.
+    /// EI by the pressure alone, as of a FREE that may turn: a section that is held from turning bends more easily, as
+    /// the solid confirms.
     Theirs,
     /// The same without its pressure: that of 3.5 psi.
     Constant,

@@ -74,8 +74,8 @@ fn it_is_the_bending_stiffness_that_makes_the_eight_as_wide_as_it_is() {
     };
     let own = width(Bending::Own, false);
     let [theirs, constant] = [Bending::Theirs, Bending::Constant].map(|bending| width(bending, false));
-    // An EI that rises with the pressure, whatever the twist, holds the pressed FREEs back: without that rise the eight is twice
-    // as wide, and the section's own, which rises or falls with the twist, is near that. Shear does not count.
+    // An EI that rises with the pressure, whatever the twist, holds the pressed FREEs back: without that rise the eight
+    // is twice as wide, and the section's own, which rises or falls with the twist, is near that. Shear does not count.
     assert!(constant > 1.8 * theirs && own > 1.6 * theirs && own < constant, "{own} {theirs} {constant}");
     assert!((width(Bending::Own, true) / own - 1.0).abs() < 0.02);
 }
@@ -158,8 +158,9 @@ fn an_eight_of_chosen_size_place_and_frequency_is_drawn() {
         assert!((figure.length - 0.010).abs() < 1e-5 && (figure.width - 0.004).abs() < 1e-5, "{figure:?}");
         assert!((figure.centre[0] - 1e-3).abs() < 1e-5 && (figure.centre[1] + 2e-3).abs() < 1e-5, "{figure:?}");
         assert!(figure.area.abs() < 1e-3 * figure.length * figure.width);
-        // It can be repeated: the pressures come back, to the width of the differences, 200 Pa, by which the freedom that a
-        // point leaves is spent on the margin: that has an edge where another place of the tubes becomes the nearest.
+        // It can be repeated: the pressures come back, to the width of the differences, 200 Pa, by which the freedom
+        // that a point leaves is spent on the margin: that has an edge where another place of the tubes becomes the
+        // nearest.
         assert!(plan.closure.unwrap().1 < 200.0, "{:?}", plan.closure);
     }
 }

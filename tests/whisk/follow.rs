@@ -68,8 +68,8 @@ fn way(seed: u64, payload: f64, periods: u32, open_loop: bool) -> TipPath {
     path
 }
 
-/// What is asked of a module that is not the model's: 5 % of the eight's width, and a third of what the plan as it stands
-/// is off by.
+/// What is asked of a module that is not the model's: 5 % of the eight's width, and a third of what the plan as it
+/// stands is off by.
 fn follows(seed: u64) {
     let [open, closed] = [true, false].map(|open| off(&way(seed, 0.0, 2, open), 0).rms);
     assert!(closed <= 0.05 * WIDTH && 3.0 * closed <= open, "seed {seed}: {open} {closed}");
@@ -93,8 +93,8 @@ fn a_payload_that_nobody_has_said_does_not_unsettle_it() {
     for payload in [0.0, 25.0, 50.0] {
         let [open, closed] = [true, false].map(|open| way(1, payload, 2, open));
         let [first, last] = [0, 1].map(|period| off(&closed, period));
-        // Whoever oscillates goes on growing. A rotation hardly shows a payload, which lengthens the FREEs and stiffens them
-        // sideways: what it costs is the error, but the plate is nearer than by the plan as it stands.
+        // Whoever oscillates goes on growing. A rotation hardly shows a payload, which lengthens the FREEs and stiffens
+        // them sideways: what it costs is the error, but the plate is nearer than by the plan as it stands.
         assert!(last.peak <= 1.2 * first.peak, "{payload} g: {first:?} {last:?}");
         assert!(last.rms < off(&open, 1).rms, "{payload} g: {last:?}");
     }

@@ -1,9 +1,10 @@
 //! CalculiX beside the solid: the same FREE, the same pressures, one thread each, errors against one reference.
 //!
-//! The FREE is the reference tube of 40 deg, 40 mm long, free, at 1 to 3 psi: CalculiX turns in a frame that stands still,
-//! and its steps are so short that a longer tube or 10 psi would take it the better part of an hour. The reference is the
-//! solid on a mesh finer than any that is compared; both know the strip, the ends and the cap. Times are processor times,
-//! which a busy machine does not lengthen; the ratio is that to the cheapest solid that is at least as good.
+//! The FREE is the reference tube of 40 deg, 40 mm long, free, at 1 to 3 psi: CalculiX turns in a frame that stands
+//! still, and its steps are so short that a longer tube or 10 psi would take it the better part of an hour. The
+//! reference is the solid on a mesh finer than any that is compared; both know the strip, the ends and the cap. Times
+//! are processor times, which a busy machine does not lengthen; the ratio is that to the cheapest solid that is at
+//! least as good.
 
 use std::io;
 use std::path::Path;

@@ -1,9 +1,10 @@
 //! The deck of one FREE for CalculiX: a sector with cyclic symmetry, its fibre as springs, a rigid cap.
 //!
-//! Quadratic bricks with reduced integration (C3D20R), swept along the fibre. CalculiX has no hybrid elements: the rubber
-//! is nearly incompressible, K = 1000 mu. The strip is springs between neighbouring nodes of its lines, which share EA
-//! by Simpson's rule. The two faces of the sector are tied in cylindrical axes of their own, which holds for turns of any
-//! size; the cap may move and turn along its axis only. All pressures are one step with time points, in mm, N and MPa. A number may have 20 characters.
+//! Quadratic bricks with reduced integration (C3D20R), swept along the fibre. CalculiX has no hybrid elements: the
+//! rubber is nearly incompressible, K = 1000 mu. The strip is springs between neighbouring nodes of its lines, which
+//! share EA by Simpson's rule. The two faces of the sector are tied in cylindrical axes of their own, which holds for
+//! turns of any size; the cap may move and turn along its axis only. All pressures are one step with time points, in
+//! mm, N and MPa. A number may have 20 characters.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write;
@@ -112,8 +113,8 @@ fn set(deck: &mut String, keyword: &str, members: &[usize]) {
     }
 }
 
-/// The deck of `scene`, free, whose pressures rise in equal steps, and its number of unknowns; none where the rubber has no
-/// Ogden law. The cap's motion along the axis is that of the set REF, its turn that of the set ROT.
+/// The deck of `scene`, free, whose pressures rise in equal steps, and its number of unknowns; none where the rubber
+/// has no Ogden law. The cap's motion along the axis is that of the set REF, its turn that of the set ROT.
 pub(super) fn write(scene: &Scene, mesh: DeckMesh) -> Option<(String, usize)> {
     let Law::Ogden { mu, alpha } = scene.tube.law else { return None };
     let tube = &scene.tube;

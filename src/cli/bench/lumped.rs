@@ -201,8 +201,8 @@ fn rotations(case: &Case) -> Result<Vec<(f64, f64)>, Failure> {
     Ok(case.solution.lines().skip(1).map(line).collect::<Result<_, _>>()?)
 }
 
-/// Largest error of the rotation over its largest magnitude; `None` where the motion is lost. The FREE's own direction is
-/// positive.
+/// Largest error of the rotation over its largest magnitude; `None` where the motion is lost. The FREE's own direction
+/// is positive.
 fn largest_error(
     case: &Case,
     solution: &[(f64, f64)],

@@ -53,7 +53,8 @@ pub struct Args {
     /// Every tier of the finite elements against the finest section
     #[arg(long)]
     fem: bool,
-    /// What the automatic choice of the model says its error is, and what it really is; makes the certified range's table
+    /// What the automatic choice of the model says its error is, and what it really is; makes the certified range's
+    /// table
     #[arg(long)]
     fidelity: bool,
     /// Rods with known answers, over the resolution

@@ -1,10 +1,10 @@
-//! The reference module with the section's own law: error against time over the rods' resolution, of equilibria, Jacobians,
-//! inverses and plans.
+//! The reference module with the section's own law: error against time over the rods' resolution, of equilibria,
+//! Jacobians, inverses and plans.
 //!
-//! Errors are against the finest resolution with the same law: the rods' discretisation alone; those of an equilibrium are
-//! relative to the plate's travel, all others to the FREEs' length. What the law itself is off by
-//! is told apart, and what rods leave out (ends, cross-sections that deform) is the model's error, which only the solid
-//! tells. One thread; the table of a law is made on all cores.
+//! Errors are against the finest resolution with the same law: the rods' discretisation alone; those of an equilibrium
+//! are relative to the plate's travel, all others to the FREEs' length. What the law itself is off by is told apart, and
+//! what rods leave out (ends, cross-sections that deform) is the model's error, which only the solid tells. One thread;
+//! the table of a law is made on all cores.
 
 use std::time::Instant;
 
@@ -42,7 +42,8 @@ const CASES: [(&str, [f64; 4]); 2] = [("case 3", [1.0, 0.0, 0.0, 0.0]), ("case 4
 /// Pressures whose plate is the inverse's target, psi, and how far from it a warm search begins, m.
 const TARGET: [f64; 4] = [3.0, 1.0, 0.5, 2.0];
 const BESIDE: Vector3<f64> = Vector3::new(1e-4, 1e-4, 0.0);
-/// Pressures of a path of the workspace; samples of a whisk, Hz, and each how many of them is looked at with the finest rods.
+/// Pressures of a path of the workspace; samples of a whisk, Hz, and each how many of them is looked at with the finest
+/// rods.
 const POINTS: usize = 50;
 const RATE: f64 = 100.0;
 const EACH: usize = 8;
@@ -195,7 +196,8 @@ impl Found {
         Ok(())
     }
 
-    /// A figure eight of 10 x 4 mm in four seconds; the error is the largest distance of its predicted path from the finest rods' one.
+    /// A figure eight of 10 x 4 mm in four seconds; the error is the largest distance of its predicted path from the
+    /// finest rods' one.
     fn whisks(&mut self, degrees: f64, law: &SectionLaw, finest: &Module) -> Result<(), Failure> {
         let limits = Limits::up_to(LAW);
         let asked = Eight::level(Vector3::new(0.0, 0.0, 0.131), 0.010, 0.004, 0.25);

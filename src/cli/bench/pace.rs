@@ -1,8 +1,8 @@
 //! The loop's pace: tracking error over the tick and over processor time, single ticks, and wake-ups beside cyclictest.
 //!
-//! Every tick length gets gains of its own, tuned to one target, and the same calibrated FREEs with the same devices: what
-//! is left of the error is the tick's. The controller's processor time is that of the recorded ticks replayed, without
-//! the plant.
+//! Every tick length gets gains of its own, tuned to one target, and the same calibrated FREEs with the same devices:
+//! what is left of the error is the tick's. The controller's processor time is that of the recorded ticks replayed,
+//! without the plant.
 
 use std::time::{Duration, Instant};
 
@@ -81,8 +81,8 @@ pub(super) fn run(size: &Size<'_>) -> Result<BenchSuite, Failure> {
     })
 }
 
-/// RMS error (rad) of one calibrated FREE, and the controller's processor time a second. Single ticks of the usual length
-/// go into `single`.
+/// RMS error (rad) of one calibrated FREE, and the controller's processor time a second. Single ticks of the usual
+/// length go into `single`.
 fn followed(model: bool, period: Duration, seed: u64, single: &Histogram) -> Result<(f64, f64), Failure> {
     let bench = plant(Free::paper(), SCATTER, seed + 1);
     let (free, hysteresis) = calibrated(&bench, seed + 1)?;

@@ -1,7 +1,7 @@
 //! Packages of others that are timed beside freerig, each in a Python process of its own.
 //!
-//! Their scripts are part of this program and go to `python3 -c`; the task, the same numbers that freerig gets, is JSON on
-//! stdin. What comes back is answers, not errors: freerig judges both by one measure.
+//! Their scripts are part of this program and go to `python3 -c`; the task, the same numbers that freerig gets, is JSON
+//! on stdin. What comes back is answers, not errors: freerig judges both by one measure.
 
 use std::io::{Seek, SeekFrom, Write};
 use std::process::{Command, Stdio};

@@ -1,9 +1,9 @@
 //! Rods with known answers: error against time over the resolution, beside Exudyn on the same tasks.
 //!
-//! R1 is one cantilever under a dead force and a dead moment, R2 four rods with spontaneous extension and twist under one
-//! plate, R3 the way of R2 under compression past two turning points of the load, which no load control can go. The answers were
-//! found by two independent codes. Errors of R1 and R2 are the tip's or the plate's distance from the known place over the
-//! rods' length, of R3 the larger one of the two turning loads.
+//! R1 is one cantilever under a dead force and a dead moment, R2 four rods with spontaneous extension and twist under
+//! one plate, R3 the way of R2 under compression past two turning points of the load, which no load control can go. The
+//! answers were found by two independent codes. Errors of R1 and R2 are the tip's or the plate's distance from the
+//! known place over the rods' length, of R3 the larger one of the two turning loads.
 
 use nalgebra::Vector3;
 use serde_json::json;

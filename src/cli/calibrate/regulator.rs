@@ -1,5 +1,5 @@
-//! `freerig calibrate regulator`: of a unit that measures its pressure, dynamics and soundness; of an analogue regulator
-//! behind a DAC or a PWM output, its channel, zero and span.
+//! `freerig calibrate regulator`: of a unit that measures its pressure, dynamics and soundness; of an analogue
+//! regulator behind a DAC or a PWM output, its channel, zero and span.
 
 use anyhow::{Context as _, anyhow};
 use jiff::Zoned;

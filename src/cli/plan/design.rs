@@ -62,8 +62,8 @@ pub struct Args {
     /// Write every design and pressure to this file
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Compute a study in this folder: what is there of it stays, what is missing is computed, and when all is there it is
-    /// merged into designs.parquet
+    /// Compute a study in this folder: what is there of it stays, what is missing is computed, and when all is there it
+    /// is merged into designs.parquet
     #[arg(long, value_name = "FOLDER", conflicts_with = "csv")]
     study: Option<PathBuf>,
     /// Compute only this share of the study, for example 2/16: for job arrays

@@ -84,8 +84,8 @@ pub struct Start {
     pub accept_margin: bool,
 }
 
-/// Where an external tracker sees the plate of the module that follows a path: in the module's frame, from the middle of
-/// the bases, z towards the plate. The latest counts.
+/// Where an external tracker sees the plate of the module that follows a path: in the module's frame, from the middle
+/// of the bases, z towards the plate. The latest counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pose {

@@ -1,5 +1,5 @@
-//! Zero, span and hysteresis of an analogue regulator behind a DAC or a PWM output: a staircase of codes against a gauge that a person
-//! reads.
+//! Zero, span and hysteresis of an analogue regulator behind a DAC or a PWM output: a staircase of codes against a
+//! gauge that a person reads.
 
 use std::fmt::Write as _;
 
@@ -149,8 +149,8 @@ pub fn evaluate(
     Ok(Finding { calibration, values, remarks, sheet })
 }
 
-/// Code at which the regulator begins to open. From there on the line's zero and its span are hardly correlated, so that
-/// the zero's uncertainty is the opening's.
+/// Code at which the regulator begins to open. From there on the line's zero and its span are hardly correlated, so
+/// that the zero's uncertainty is the opening's.
 fn opening(
     points: &[StairPoint],
     rules: &StaircaseRules,

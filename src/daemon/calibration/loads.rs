@@ -161,8 +161,8 @@ impl Session {
         text
     }
 
-    /// What was read under the `weights` and `torques` that the session was planned for: at every step, what a person read
-    /// (not a number where nothing is), and angle and pressure at rest.
+    /// What was read under the `weights` and `torques` that the session was planned for: at every step, what a person
+    /// read (not a number where nothing is), and angle and pressure at rest.
     pub fn readings(&self, weights: &[KnownLoad], torques: &[KnownLoad], taken: &[(f64, f64, f64)]) -> Readings {
         let mut readings = Readings::default();
         for (step, &(read, angle, measured)) in self.steps.iter().zip(taken) {

@@ -1,9 +1,9 @@
 //! The rubber and the fibres, once for a batch, from files of tests: no rig is needed.
 //!
-//! E is the slope at rest of the tensile curves, mu = E/3 (the rubber is incompressible); alpha is what fits the inflation
-//! of a bare tube best with that mu, the neo-Hookean and the linear law beside it; EA is the slope of a fibre's force
-//! over its strain. Where only tension was tested, alpha is that of the tensile curves; where only inflation was, mu and
-//! alpha are both the inflation's.
+//! E is the slope at rest of the tensile curves, mu = E/3 (the rubber is incompressible); alpha is what fits the
+//! inflation of a bare tube best with that mu, the neo-Hookean and the linear law beside it; EA is the slope of a
+//! fibre's force over its strain. Where only tension was tested, alpha is that of the tensile curves; where only
+//! inflation was, mu and alpha are both the inflation's.
 
 use serde::Serialize;
 

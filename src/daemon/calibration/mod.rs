@@ -2,9 +2,9 @@
 //!
 //! A calibration is an experiment like any other, with the interlocks, the record and the report of one, and a fit over
 //! its run: nothing is measured that could not be looked at again. Each file holds one: `experiment` writes the
-//! experiment for the FREE that is to be measured, `evaluate` makes of its run the calibration with the new values, each
-//! with its standard uncertainty, method, residual, date and run, and a page that shows the fit over the data. Nothing
-//! is written before all of that has been successful.
+//! experiment for the FREE that is to be measured, `evaluate` makes of its run the calibration with the new values,
+//! each with its standard uncertainty, method, residual, date and run, and a page that shows the fit over the data.
+//! Nothing is written before all of that has been successful.
 
 pub mod channels;
 pub mod damping;

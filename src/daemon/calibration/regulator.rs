@@ -74,7 +74,8 @@ pub fn evaluate(rig: &Rig, subject: usize, run: &Run, date: &str) -> Result<Find
         origin.enter(&mut calibration, &keys::REGULATOR_DEAD_TIME, dead_time.times(1e3), None),
     ];
     let mut remarks = Vec::new();
-    // The rise alone: the interlocks grow a stale pressure by it, and a regulator that empties more slowly fills no less.
+    // The rise alone: the interlocks grow a stale pressure by it, and a regulator that empties more slowly fills no
+    // less.
     match steps.rise {
         Some(rise) => {
             values.push(origin.enter(&mut calibration, &keys::FASTEST_FILL, rise.times(1.0 / PASCAL_PER_PSI), None))

@@ -171,8 +171,8 @@ fn turn_to(scene: &mut Scene, to: fn(f64, f64) -> f64) {
     scene.turn(to(soft, hard) - scene.shown_angle());
 }
 
-/// Every case that this rig can be drilled in, in the order of the faults' numbers. The study needs the first FREE to have
-/// an IMU and an Alicat unit; without them there is no case.
+/// Every case that this rig can be drilled in, in the order of the faults' numbers. The study needs the first FREE to
+/// have an IMU and an Alicat unit; without them there is no case.
 pub fn cases(rig: &Rig) -> Vec<Case> {
     use FaultCode as F;
     use Reaction::{Hold, Ramp, Vent, Warn};

@@ -36,8 +36,8 @@ const PATIENCE: f64 = 2.0;
 pub struct Trial {
     /// From the cause to the fault in the record; infinite where it was not seen.
     pub detection: f64,
-    /// From detection to the last true pressure below p_zero; infinite where it stayed; none where the reaction takes no
-    /// pressure away.
+    /// From detection to the last true pressure below p_zero; infinite where it stayed; none where the reaction takes
+    /// no pressure away.
     pub fall: Option<f64>,
     /// Another fault than the one provoked was latched before it.
     pub other: bool,

@@ -1,15 +1,15 @@
 //! The certified range: where the cheap tiers' errors are known without asking a dearer one.
 //!
-//! The range is divided into [buckets](Bucket) by hold, winding angle and relative pressure `P Ri / (mu wall)`. A table,
-//! made by `freerig bench --fidelity` and stored beside this file, has for each the largest errors that seeded scenes of
-//! it have really had ([`super::suite`]). That the next scene's error is larger than the largest of n alike has the
-//! probability 1 / (n + 1), whatever the errors' distribution: a bucket of at least 19 scenes holds with the 95 %
-//! that are wanted, and no factor of safety is needed.
+//! The range is divided into [buckets](Bucket) by hold, winding angle and relative pressure `P Ri / (mu wall)`. A
+//! table, made by `freerig bench --fidelity` and stored beside this file, has for each the largest errors that seeded
+//! scenes of it have really had ([`super::suite`]). That the next scene's error is larger than the largest of n alike
+//! has the probability 1 / (n + 1), whatever the errors' distribution: a bucket of at least 19 scenes holds with the 95
+//! % that are wanted, and no factor of safety is needed.
 //!
 //! What the ends take goes with one over the length, and is stored times the length over the outer radius. The linear
 //! law's error is stored as what it has more than the section, to which the section's is added. The lumped equations
-//! with inextensible fibres are not certified: with ke and kt from the material they are farther off than the linear law
-//! nearly everywhere.
+//! with inextensible fibres are not certified: with ke and kt from the material they are farther off than the linear
+//! law nearly everywhere.
 
 use std::f64::consts::PI;
 use std::fmt::Write as _;

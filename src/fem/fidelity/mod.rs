@@ -15,8 +15,8 @@
 //! over the length: a FREE half as long has twice of them, so the difference between a coarse solid and one of half
 //! its length is the estimate, in which most of their mesh's error cancels.
 //!
-//! How far the estimates are from the truth is measured on seeded scenes ([`suite`]), which also give the table by which
-//! cheap tiers are taken without asking a dearer one ([`certified`]).
+//! How far the estimates are from the truth is measured on seeded scenes ([`suite`]), which also give the table by
+//! which cheap tiers are taken without asking a dearer one ([`certified`]).
 //!
 //! Errors are relative, over the scene's pressures together, in the one measure that [`super::measure`] derives. Where
 //! one tier has an equilibrium and the other has none, the error is infinite.

@@ -1,7 +1,8 @@
 //! How far the rods of a module are from what they stand for.
 //!
-//! Relative like all errors here; the measure is `hypot(|d x|, r |d turn|)` over the largest `hypot(|x - rest|, r |turn|)`
-//! of the answers, with the plate's position x, its turn, and the distance r of the FREEs from the plate's centre.
+//! Relative like all errors here; the measure is `hypot(|d x|, r |d turn|)` over the largest `hypot(|x - rest|, r
+//! |turn|)` of the answers, with the plate's position x, its turn, and the distance r of the FREEs from the plate's
+//! centre.
 
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -78,8 +79,8 @@ pub struct SolidAnswers {
     pub discretisation_error: f64,
 }
 
-/// The mesh of a module's tubes: with strips two elements between the strip and the middle between two, as few along the
-/// tube as their turn lets be.
+/// The mesh of a module's tubes: with strips two elements between the strip and the middle between two, as few along
+/// the tube as their turn lets be.
 pub fn module_mesh(tube: &Tube) -> solid::Mesh {
     solid::Mesh { around_growth: 6.0, first: 2e-3, most_turn: 1.0, ..solid::Mesh::whole(tube) }
 }
@@ -88,8 +89,8 @@ pub fn module_mesh(tube: &Tube) -> solid::Mesh {
 /// scene's dead load; `progress` is told the share of the way, 0 to 1.
 ///
 /// # Errors
-/// FREEs that differ in more than their winding angles, a dead moment, rest curvature or a dead length, which the solid does
-/// not have; a solid that fails otherwise than at a limit.
+/// FREEs that differ in more than their winding angles, a dead moment, rest curvature or a dead length, which the solid
+/// does not have; a solid that fails otherwise than at a limit.
 pub fn solid_answers(
     scene: &ModuleScene,
     rows: &[[f64; 4]],
@@ -169,8 +170,8 @@ fn answer(row: [f64; 4], path: &ModulePath, discretisation_error: f64) -> Answer
     Answer { pressures: row, pose, limit }
 }
 
-/// Relative error that the elements across a tube make, as the section with as many of them has it; none is known of line
-/// fibres, which have no converged one.
+/// Relative error that the elements across a tube make, as the section with as many of them has it; none is known of
+/// line fibres, which have no converged one.
 fn across(tube: &Tube, pressure: f64) -> Result<f64, FidelityError> {
     if tube.fiber_width == 0.0 {
         return Ok(f64::INFINITY);
@@ -185,8 +186,9 @@ fn across(tube: &Tube, pressure: f64) -> Result<f64, FidelityError> {
     Ok(few.zip(many).map_or(f64::INFINITY, |(few, many)| (few / many - 1.0).abs()))
 }
 
-/// The dead length, m, of a FREE of `tube` and `length` m: with it a rod without ends, held from turning and free to stretch,
-/// is as long at `pressure` Pa as the solid of the single FREE. Negative where the ends give more than the middle.
+/// The dead length, m, of a FREE of `tube` and `length` m: with it a rod without ends, held from turning and free to
+/// stretch, is as long at `pressure` Pa as the solid of the single FREE. Negative where the ends give more than the
+/// middle.
 ///
 /// # Errors
 /// As [`ask`]; where solid or section has no equilibrium at `pressure`.

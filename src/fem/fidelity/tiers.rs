@@ -46,8 +46,8 @@ impl Scene {
     }
 }
 
-/// What `fidelity` says of `scene`; `progress` is told the share of the way, 0 to 1, by the tier that takes seconds, the
-/// solid.
+/// What `fidelity` says of `scene`; `progress` is told the share of the way, 0 to 1, by the tier that takes seconds,
+/// the solid.
 ///
 /// # Errors
 /// Where the scene is none, or the tier fails otherwise than at a limit.

@@ -11,13 +11,13 @@ use crate::fem::rod::{
 
 /// A correction below this (see [`Step::within`]) ends the iteration: Newton squares it, so what is left is 1e-10.
 const CONVERGED: f64 = 1e-5;
-/// So does one after which less than this is left (see [`Step::leaves`]): nanometres of a module.
-const LEFT: f64 = 1e-7;
-/// If it is at most this share of the one before: then the tangent that it came from, and with it inertia and
-/// sensitivities, holds at its end, too, but for twice the square, half a per cent at most.
-const SHARE: f64 = 0.05;
 /// The same for a stop on the way, which only has to be a good start for the next.
 const NEARBY: f64 = 1e-3;
+/// A correction after which less than this is left (see [`Step::leaves`]) ends it, too: that is nanometres of a module.
+const LEFT: f64 = 1e-7;
+/// It does if it is at most this share of the one before: then the tangent that it came from, and with it inertia and
+/// sensitivities, holds at its end, too, but for twice the square, half a per cent at most.
+const SHARE: f64 = 0.05;
 /// Each correction must be below this share of the one before.
 const CONTRACTION: f64 = 0.5;
 /// With that contraction as its slowest pace, an iteration that needs more is not in Newton's own region.

@@ -12,8 +12,8 @@
 //! coarser one's solution. A difference may vanish by accident: the estimate has a floor, which falls with the
 //! element's size squared.
 //!
-//! **Folds.** A blocked tube's rubber folds at the strip's end, where the traction jumps. The pressure of that is one of
-//! the mesh ([`super::LimitKind::Folding`]): a finer one folds earlier, one that is blunt there not at all. So the
+//! **Folds.** A blocked tube's rubber folds at the strip's end, where the traction jumps. The pressure of that is one
+//! of the mesh ([`super::LimitKind::Folding`]): a finer one folds earlier, one that is blunt there not at all. So the
 //! answer is the branch that has not folded, on the finest mesh that has it, and its error the spread over the meshes
 //! that have it, too. That rubber which folds leaves this branch is not an error of the mesh, and is told apart:
 //! [`Curve::folds_beyond`] says from where on a finer mesh, or one that is [sharp](Mesh::sharp) at the strip's end, has

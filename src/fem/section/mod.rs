@@ -36,9 +36,9 @@
 //! traction jumps; both end the path from rest with [`SectionError::BeyondLimit`], which names the pressure. No state
 //! is returned whose second variation is not positive definite, nor one that a step has reached across a fold.
 //!
-//! **Forces and moments below a fold converge with the mesh, the fold's pressure does so only in part.** Of the reference
-//! tube blocked, on the levels 1, 2, 4 and 8, each of which divides the elements of the one before, and on the
-//! [sharp](Mesh::sharp) mesh, psi:
+//! **Forces and moments below a fold converge with the mesh, the fold's pressure does so only in part.** Of the
+//! reference tube blocked, on the levels 1, 2, 4 and 8, each of which divides the elements of the one before, and on
+//! the [sharp](Mesh::sharp) mesh, psi:
 //!
 //! | winding | 1 | 2 | 4 | 8 | sharp |
 //! | --- | --- | --- | --- | --- | --- |
@@ -48,13 +48,13 @@
 //! | 60 deg | 10.0 | 6.3 | 4.2 | 3.3 | 4.2 |
 //! | 80 deg | 11.6 | 6.3 | 3.8 | 2.8 | 3.9 |
 //!
-//! Up to 40 deg it converges; from 60 deg on it goes on falling as the elements at the strip's end do: there the jump of
-//! the traction turns the surface by the logarithm of the distance, without bound, and some ring of elements is always
-//! small enough to fold. Meshes without small elements there hold the rubber up: on the [blunt](Mesh::blunt) mesh it goes
-//! on to 10 psi at all of these angles, within 1 % of the reference. Of the reference's mesh its 2 306 unknowns are
-//! known, those of 6 x 24 elements a sector. Such meshes fold between 7.2 and 8.2 psi at 60 deg, over the grade of their
-//! elements (the reference: 7.69), and between 6.2 and 8.5 psi at 30 deg, where the reference goes on to 10: its forces
-//! bend off there between 8 and 9 psi, by half a per cent at 10.
+//! Up to 40 deg it converges; from 60 deg on it goes on falling as the elements at the strip's end do: there the jump
+//! of the traction turns the surface by the logarithm of the distance, without bound, and some ring of elements is
+//! always small enough to fold. Meshes without small elements there hold the rubber up: on the [blunt](Mesh::blunt)
+//! mesh it goes on to 10 psi at all of these angles, within 1 % of the reference. Of the reference's mesh its 2 306
+//! unknowns are known, those of 6 x 24 elements a sector. Such meshes fold between 7.2 and 8.2 psi at 60 deg, over the
+//! grade of their elements (the reference: 7.69), and between 6.2 and 8.5 psi at 30 deg, where the reference goes on to
+//! 10: its forces bend off there between 8 and 9 psi, by half a per cent at 10.
 //!
 //! The path turns back at a fold in pressure and volume alike, so that no other control parameter carries on with it.
 //! The tube [snaps](Section::snapped) into another equilibrium. Next to the fold that bears 0.1 to 1 % less where

@@ -281,8 +281,8 @@ impl Phased {
         self.add_macroscopic(form);
     }
 
-    /// `-P V''`. The volume between sections is swept by the rays from the axis: with Y the position and G its derivative
-    /// along a fibre, `V = int (Y x Y_psi) . (Gam / 2 + G / 3) dpsi`.
+    /// `-P V''`. The volume between sections is swept by the rays from the axis: with Y the position and G its
+    /// derivative along a fibre, `V = int (Y x Y_psi) . (Gam / 2 + G / 3) dpsi`.
     fn add_cavity(&mut self, sector: &Sector, fields: &Fields, order: f64, column: usize) {
         let [stretch, twist, pressure] = fields.globals;
         let rate = sector.winding + twist;

@@ -15,11 +15,12 @@
 //!
 //! The four pressures hold averages of the volume only. k is what the rubber itself sets against the rest of it, which
 //! the mesh cannot see: 2/3 mu ([`LOCAL_BULK`]) is that of Ogden's law written in whole stretches instead of isochoric
-//! ones, `2 mu / alpha^2 sum(l^alpha - 1 - alpha ln l)`, which for an incompressible rubber is the same law. The term and
-//! its derivative vanish where det F = 1, so the exact solution is that of every k (it is a consistent augmentation), and
-//! a mesh's answers for different k meet as it is refined: of a blocked tube of 40 deg with strips at 4 psi, k from 0
-//! to 2 mu moves the force by 1.9 % on the coarse mesh of the fidelity's estimate and by 0.25 % on the usual one. Under a
-//! line fibre the field is singular, nothing converges, and k goes on mattering as the mesh does (4 % of that force).
+//! ones, `2 mu / alpha^2 sum(l^alpha - 1 - alpha ln l)`, which for an incompressible rubber is the same law. The term
+//! and its derivative vanish where det F = 1, so the exact solution is that of every k (it is a consistent
+//! augmentation), and a mesh's answers for different k meet as it is refined: of a blocked tube of 40 deg with strips
+//! at 4 psi, k from 0 to 2 mu moves the force by 1.9 % on the coarse mesh of the fidelity's estimate and by 0.25 % on
+//! the usual one. Under a line fibre the field is singular, nothing converges, and k goes on mattering as the mesh does
+//! (4 % of that force).
 //!
 //! F is bilinear in y and omega: that is why a step of 50 degrees is no harder than one of 1 degree. The rate omega
 //! is one more unknown of each element (the last row of its matrix), the same for all.

@@ -5,10 +5,10 @@
 //! `Pi = EA/2 int (|g|/g0 - 1)^2 g0 dt`, in tension and compression alike.
 //!
 //! Fibres are so stiff that the tension of a state in the middle of an iteration says nothing: it is that of the
-//! stretching that a correction makes by turning an element. So the tension T at each point is an unknown too, `Pi = int
-//! (T (|g|/g0 - 1) - T^2 / (2 EA)) g0 dt`, and moves with the linearised stretch, as the pressures in the rubber do with
-//! the volume. It is eliminated point by point: the matrix is that of displacements, with T in it in place of what the
-//! stretch says. What is converged is the same; far bending takes a few iterations instead of not converging at all
+//! stretching that a correction makes by turning an element. So the tension T at each point is an unknown too, `Pi =
+//! int (T (|g|/g0 - 1) - T^2 / (2 EA)) g0 dt`, and moves with the linearised stretch, as the pressures in the rubber do
+//! with the volume. It is eliminated point by point: the matrix is that of displacements, with T in it in place of what
+//! the stretch says. What is converged is the same; far bending takes a few iterations instead of not converging at all
 //! (mixed integration points: Magisano, Leonetti and Garcea, IJNME 2017).
 
 use nalgebra::{Matrix3, Vector3};

@@ -3,8 +3,9 @@
 //! Through the wall, round the circumference and along the tube a mesh is a product of three divisions, and its
 //! edges along the tube are helices of the fibres' pitch. A sector, one fibre's share of the circumference, has
 //! cyclic symmetry: the nodes of its last face are those of its first. It is meshed in a frame that turns with
-//! the fibres and round the circumference, where it is a brick. Bending needs the whole circumference, and a rigid motion sideways
-//! should be exact, so the whole is meshed in space, with elements so short that they turn by half a radian or so.
+//! the fibres and round the circumference, where it is a brick. Bending needs the whole circumference, and a rigid
+//! motion sideways should be exact, so the whole is meshed in space, with elements so short that they turn by half a
+//! radian or so.
 
 use std::f64::consts::TAU;
 

@@ -4,8 +4,8 @@
 //! ([`element`]), swept along the fibres ([`mesh`]), whose fields are interpolated in a frame that turns with the
 //! tip, so that turns of several hundred degrees cost no more steps than small ones. The base is bonded to a rigid
 //! plane, the tip to a rigid cap ([`cap`]); the gas enters through the volume that it encloses ([`surface`]);
-//! fibres are trusses or strips ([`fiber`]). [`system`] has the equations and their inertia, [`path`] the steps, [`module`] four
-//! tubes under one plate.
+//! fibres are trusses or strips ([`fiber`]). [`system`] has the equations and their inertia, [`path`] the steps,
+//! [`module`] four tubes under one plate.
 //!
 //! A line fibre's answers depend on the mesh (the rubber's field under a line load has a logarithmic singularity);
 //! a strip's do not.

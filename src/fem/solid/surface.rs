@@ -1,9 +1,9 @@
 //! The pressure on the inner face of an element, through the volume that it encloses.
 //!
 //! The cavity's volume is `1/3 int x . n da` over its boundary. The inner face (i = 0) of an element contributes
-//! `V = 1/3 int y . (g_s x g_t) ds dt` with the tangents `g_s = y_s + (psi_s + omega Z_s) e_z x y` of the turning frame. The
-//! energy of the gas is -P V, so load and tangent are exact derivatives, hence symmetric; the base lies in the plane
-//! z = 0 and contributes nothing.
+//! `V = 1/3 int y . (g_s x g_t) ds dt` with the tangents `g_s = y_s + (psi_s + omega Z_s) e_z x y` of the turning
+//! frame. The energy of the gas is -P V, so load and tangent are exact derivatives, hence symmetric; the base lies in
+//! the plane z = 0 and contributes nothing.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 

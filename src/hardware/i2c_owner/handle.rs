@@ -32,7 +32,8 @@ impl<I> Handle<I> {
 const NOBODY: u8 = 0x7F;
 
 impl<I: I2c> Handle<I> {
-    /// Closes a device's handle, then opens the bus anew; `replace` gives the device its handle. Whether the bus is open.
+    /// Closes a device's handle, then opens the bus anew; `replace` gives the device its handle. Whether the bus is
+    /// open.
     ///
     /// A device that was interrupted while it answered holds the data line until it has been clocked to the end of its
     /// byte. Reading from nobody does that: nine clocks with the data line let go. Whether that is possible is the

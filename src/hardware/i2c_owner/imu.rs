@@ -22,7 +22,8 @@ const STUCK_AFTER: Duration = Duration::from_millis(500);
 
 /// Period of the chip's fusion frames, by its own oscillator.
 const FRAME: Duration = Duration::from_millis(10);
-/// How long the reset line is pulled (20 ns would do), and how long the chip takes from there until it answers (650 ms).
+/// How long the reset line is pulled (20 ns would do), and how long the chip takes from there until it answers (650
+/// ms).
 const PULL: Duration = Duration::from_millis(5);
 const START: Duration = Duration::from_millis(660);
 

@@ -1,5 +1,5 @@
-//! A DAC or an ADC as its bus owner reaches it: whether its bus is open, whether it is set up, and where it stands on the
-//! recovery ladder.
+//! A DAC or an ADC as its bus owner reaches it: whether its bus is open, whether it is set up, and where it stands on
+//! the recovery ladder.
 
 use std::time::Duration;
 

@@ -15,15 +15,15 @@
 //! ```
 //!
 //! linear in all that is not known, so it is fitted as it stands, with w_i >= 0: of a FREE that rings over the
-//! intervals between readings (the angle by the cubic through both angles and rates), divided by I; of one that creeps at each reading,
-//! divided by kt, I / kt taken as known (a correction of I kt / ct^2). Whether it rings is told by its overshoot, its frequency by
-//! its rates over its angles, which no slow sampling can disguise; what is beyond the sensor is refused. A FREE without
-//! friction is [`fit_ring_down`](crate::ident::fit_ring_down)'s.
+//! intervals between readings (the angle by the cubic through both angles and rates), divided by I; of one that creeps
+//! at each reading, divided by kt, I / kt taken as known (a correction of I kt / ct^2). Whether it rings is told by its
+//! overshoot, its frequency by its rates over its angles, which no slow sampling can disguise; what is beyond the
+//! sensor is refused. A FREE without friction is [`fit_ring_down`](crate::ident::fit_ring_down)'s.
 //!
-//! **Uncertainty.** That of the mean over the releases, by leaving out one after the other (jackknife): what differs from
-//! pluck to pluck, noise and a clumsy hand alike, is in it; and what the elements cannot tell: friction that slips beyond the
-//! turns looks like a spring, and where friction takes most of the energy little is left that is the damper's. What is
-//! wrong in all of them is not in it: the scale of the gyro and, of a FREE that creeps, kt.
+//! **Uncertainty.** That of the mean over the releases, by leaving out one after the other (jackknife): what differs
+//! from pluck to pluck, noise and a clumsy hand alike, is in it; and what the elements cannot tell: friction that slips
+//! beyond the turns looks like a spring, and where friction takes most of the energy little is left that is the
+//! damper's. What is wrong in all of them is not in it: the scale of the gyro and, of a FREE that creeps, kt.
 
 mod release;
 mod series;

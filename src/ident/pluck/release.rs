@@ -22,7 +22,8 @@ pub struct Rules {
 }
 
 impl Default for Rules {
-    /// 2 deg, held for 0.15 s within 10 %, alone for 0.5 to 4 s and 0.4 s after the motion is gone, the hand there 0.6 s before the turn is seen.
+    /// 2 deg, held for 0.15 s within 10 %, alone for 0.5 to 4 s and 0.4 s after the motion is gone, the hand there 0.6
+    /// s before the turn is seen.
     fn default() -> Self {
         Self { least: 2f64.to_radians(), held: 0.15, stray: 0.1, alone: 0.5, longest: 4.0, after: 0.4, touch: 0.6 }
     }
@@ -48,8 +49,8 @@ const GONE: f64 = 0.02;
 /// Within this share of the farthest turn the end may be at rest.
 const REST_SHARE: f64 = 0.2;
 
-/// The releases in `record`: each follows a stretch in which the angle stood far from rest, and ends where the motion is gone
-/// or the end is turned again.
+/// The releases in `record`: each follows a stretch in which the angle stood far from rest, and ends where the motion
+/// is gone or the end is turned again.
 ///
 /// # Errors
 /// Where nothing moved, or a reading is none.

@@ -30,8 +30,8 @@ pub enum SeriesError {
     TooClose(f64),
 }
 
-/// Fits I / (kt / I) = (I + a) / kt over the records, and ct from each: 1 / S is a line over the added inertia a, with the
-/// slope 1 / kt and the intercept I / kt.
+/// Fits I / (kt / I) = (I + a) / kt over the records, and ct from each: 1 / S is a line over the added inertia a, with
+/// the slope 1 / kt and the intercept I / kt.
 ///
 /// # Errors
 /// Where the records do not tell the line's slope.

@@ -41,19 +41,19 @@ pub struct PluckFit {
     pub slip: f64,
     /// Root mean square of what is left over, as an angle, rad.
     pub residual: f64,
-    /// For each reading of each release its time (s), the moment of spring and elements over kt as the fit has it (rad),
-    /// and what inertia and damper ask for (rad): the same but for what is left over.
+    /// For each reading of each release its time (s), the moment of spring and elements over kt as the fit has it
+    /// (rad), and what inertia and damper ask for (rad): the same but for what is left over.
     pub balance: Vec<(f64, f64, f64)>,
 }
 
-/// How well the elements stand for the FREE's friction: standard uncertainty of what it takes, as a share of that. On the
-/// simulated FREEs, whose elements are others, 0.7 %.
+/// How well the elements stand for the FREE's friction: standard uncertainty of what it takes, as a share of that. On
+/// the simulated FREEs, whose elements are others, 0.7 %.
 const LOSS: f64 = 0.01;
 /// Least overshoot of a FREE that rings, over the turn: a damping ratio of 0.6.
 const OVERSHOOT: f64 = 0.1;
 
-/// Fits `record` (times [`evened`](super::evened)) over its `releases`. `ratio` is I / kt, s2, as far as it is known; the
-/// sensor is trusted up to `bandwidth` (Hz).
+/// Fits `record` (times [`evened`](super::evened)) over its `releases`. `ratio` is I / kt, s2, as far as it is known;
+/// the sensor is trusted up to `bandwidth` (Hz).
 ///
 /// # Errors
 /// Too few releases, a frequency beyond the sensor, or nothing that a FREE could be.
@@ -272,10 +272,11 @@ impl Rows {
 /// Readings to either side over which an angle is averaged.
 const AROUND: usize = 6;
 
-/// Takes the noise out of the angles of an end that moves alone: each becomes the mean of what its neighbours say, carried
-/// to it by the rates, which are far less noisy. A slider that is strained by half a degree minds a twentieth.
+/// Takes the noise out of the angles of an end that moves alone: each becomes the mean of what its neighbours say,
+/// carried to it by the rates, which are far less noisy. A slider that is strained by half a degree minds a twentieth.
 fn fuse(alone: &mut [Reading]) {
-    // Readings are even: the integral of the polynomial through six of them (error (w h)^6 / 300), of four near the ends.
+    // Readings are even: the integral of the polynomial through six of them (error (w h)^6 / 300), of four near the
+    // ends.
     let rate = |i: usize| alone[i].rate;
     let mut turned = vec![0.0; alone.len()];
     for i in 1..alone.len() {

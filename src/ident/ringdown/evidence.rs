@@ -1,9 +1,9 @@
 //! Which model the samples speak for: how many modes, a drift or none, an oscillation or a relaxation.
 //!
 //! From simple to rich; a richer model is taken where its misfit falls by more than the Bayesian information criterion
-//! asks for, (parameters more) ln(samples), for the many frequencies that were tried, and [`MARGIN`] on top. The misfit is counted in the richer model's own
-//! noise, each sample as an outlier at most, and divided by that noise's colour: correlated residuals carry less evidence
-//! than their number.
+//! asks for, (parameters more) ln(samples), for the many frequencies that were tried, and [`MARGIN`] on top. The misfit
+//! is counted in the richer model's own noise, each sample as an outlier at most, and divided by that noise's colour:
+//! correlated residuals carry less evidence than their number.
 
 use super::basis::{Shape, project};
 use super::fit::{Fit, OUTLIER, fit};

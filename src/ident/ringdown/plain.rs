@@ -23,8 +23,8 @@ pub enum PlainError {
     NotConverged,
 }
 
-/// Log decrement: peaks between the zero crossings of the signal without its mean, down to a tenth of the first one; a line
-/// through their logarithms; the frequency from their times.
+/// Log decrement: peaks between the zero crossings of the signal without its mean, down to a tenth of the first one; a
+/// line through their logarithms; the frequency from their times.
 pub fn log_decrement(times: &[f64], values: &[f64]) -> Result<PlainDecay, PlainError> {
     let tail = &values[values.len() / 2..];
     let mean = tail.iter().sum::<f64>() / tail.len().max(1) as f64;

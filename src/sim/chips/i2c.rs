@@ -107,8 +107,8 @@ impl SimI2c {
         mischief
     }
 
-    /// A device that was interrupted in an answer holds the data line: no transfer gets through until somebody clocks it
-    /// to the end of its byte, with an address that nobody has.
+    /// A device that was interrupted in an answer holds the data line: no transfer gets through until somebody clocks
+    /// it to the end of its byte, with an address that nobody has.
     pub fn hold(&self) {
         self.wires.lock().unwrap_or_else(PoisonError::into_inner).held = true;
     }

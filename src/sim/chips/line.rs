@@ -1,4 +1,5 @@
-//! A simulated serial line with Alicat units and PWM outputs on it: byte times, framing, the rules of when one may speak.
+//! A simulated serial line with Alicat units and PWM outputs on it: byte times, framing, the rules of when one may
+//! speak.
 //!
 //! [`SerialLine`] is reactive: it is given bytes with the time of their coming, and asked what it has to send.
 //! Two fronts put it before the real driver: [`MemoryStream`] on any clock, the stepped one above all, and

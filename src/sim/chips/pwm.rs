@@ -1,5 +1,5 @@
-//! A simulated PWM output of a microcontroller, with the analogue regulator behind it: what it answers to the bytes of a
-//! command.
+//! A simulated PWM output of a microcontroller, with the analogue regulator behind it: what it answers to the bytes of
+//! a command.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -32,8 +32,8 @@ pub struct PwmChip {
 }
 
 impl PwmChip {
-    /// The output `id` with a watchdog of 250 ms, just reset; `input` is what stands behind it, and feeds the plant's FREE
-    /// `free`.
+    /// The output `id` with a watchdog of 250 ms, just reset; `input` is what stands behind it, and feeds the plant's
+    /// FREE `free`.
     pub fn new(id: u8, free: usize, input: AnalogueSim, plant: Arc<Mutex<Plant>>) -> Self {
         Self {
             id,

@@ -1,8 +1,8 @@
 //! Everything that reads what comes from outside, fed with mutations of what it usually gets.
 //!
 //! Each target has its seeds: the repository's own files, and those of `tests/abuse/corpus`, where what has once been
-//! found stays. Nothing may panic or take long; what is accepted keeps the rules of what it is, and reads back as it was
-//! written. The same seed gives the same cases; `FREERIG_FUZZ=50` makes fifty times as many.
+//! found stays. Nothing may panic or take long; what is accepted keeps the rules of what it is, and reads back as it
+//! was written. The same seed gives the same cases; `FREERIG_FUZZ=50` makes fifty times as many.
 
 mod calibrations;
 mod configs;

@@ -11,8 +11,8 @@
 //! step of the whole system, and converges as that does. **Inertia**: by Haynsworth, what each tube has with its cap
 //! held, plus the negative eigenvalues of K. It is counted at every equilibrium on the way.
 //!
-//! Where the module is symmetric, one tube is solved for all that are its images (`symmetry`); K stays that of all four,
-//! so that what breaks the symmetry is counted, too.
+//! Where the module is symmetric, one tube is solved for all that are its images (`symmetry`); K stays that of all
+//! four, so that what breaks the symmetry is counted, too.
 
 mod plate;
 mod symmetry;
@@ -112,8 +112,8 @@ pub struct ModulePath {
     pub states: Vec<PlateEquilibrium>,
     /// How it ended.
     pub end: ModuleEnd,
-    /// Where the inertia of the straight way from one set of pressures to the next first says that stability is lost, Pa, as
-    /// far as it was followed.
+    /// Where the inertia of the straight way from one set of pressures to the next first says that stability is lost,
+    /// Pa, as far as it was followed.
     pub unstable: Option<[f64; TUBES]>,
     /// Newton iterations in all.
     pub iterations: usize,

@@ -1,9 +1,9 @@
 //! What a module's symmetry saves: tubes that are images of others, and need not be solved.
 //!
-//! Half a turn about z exchanges A with C and B with D; the mirror in a plane of x or y exchanges neighbours of opposite
-//! hand. Where winding angles, pressures and force are alike under such a motion, so is the equilibrium that grows from
-//! rest: one tube is solved, and its image is the same seen in other coordinates. What breaks the symmetry is not lost: the
-//! plate's stiffness is that of all four tubes in all six coordinates.
+//! Half a turn about z exchanges A with C and B with D; the mirror in a plane of x or y exchanges neighbours of
+//! opposite hand. Where winding angles, pressures and force are alike under such a motion, so is the equilibrium that
+//! grows from rest: one tube is solved, and its image is the same seen in other coordinates. What breaks the symmetry
+//! is not lost: the plate's stiffness is that of all four tubes in all six coordinates.
 
 use nalgebra::{SMatrix, SVector, Vector3};
 

@@ -57,8 +57,8 @@ struct Inertia {
 impl SolidModule {
     /// Equilibria from rest under the dead `force` (N, at the plate's centre) at the gauge pressures `pressures`, Pa,
     /// one set after the other, each approached along a straight line; `progress` is told the share of the
-    /// way, from 0 to 1. A path that ends early says where. What `pressures` and `force` leave of the module's symmetry is kept: the
-    /// perfect module stays on its straight branch, and its inertia says how long that is stable.
+    /// way, from 0 to 1. A path that ends early says where. What `pressures` and `force` leave of the module's symmetry
+    /// is kept: the perfect module stays on its straight branch, and its inertia says how long that is stable.
     pub fn follow(
         &mut self,
         force: &Vector3<f64>,
@@ -175,8 +175,8 @@ impl SolidModule {
         Inertia { inside, plate: values.iter().filter(|&&e| e < 0.0).count(), least: values.min() }
     }
 
-    /// The pressures, Pa, between `before` and here at which stability is lost; where it is the plate that gives way, where
-    /// its least eigenvalue vanishes. Ends where it began.
+    /// The pressures, Pa, between `before` and here at which stability is lost; where it is the plate that gives way,
+    /// where its least eigenvalue vanishes. Ends where it began.
     fn pinned(&mut self, before: &Place, inertia: Inertia) -> Result<[f64; TUBES], SystemError> {
         let (here, force) = (self.place(), self.force);
         let (mut sound, mut lost) = ((0.0, inertia), (1.0, self.inertia()));
