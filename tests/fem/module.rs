@@ -130,37 +130,11 @@ fn a_plate_hangs_and_its_weight_stretches_the_rods() {
     let state = m.equilibrium(&hanging).unwrap();
     // Free to twist, rods of alternating hand hold each other: K11 of the section, twist 0.
     let stretch = mass * 9.81 / (4.0 * section(60.0).stiffness[(0, 0)]);
-    // To what Newton's last correction may leave.
-    assert!((shift(&m, &state).z / LENGTH - stretch).abs() < 1e-7);
+    assert!((shift(&m, &state).z / LENGTH - stretch).abs() < 1e-9);
     // Standing, it is a column: softer, and stable while the weight is below Euler's.
     let standing = Loads { gravity: Vector3::new(0.0, 0.0, -9.81), ..case(1, 0.0) };
     let softer = m.equilibrium(&standing).unwrap();
     assert!(softer.stable() && softer.stiffness()[(3, 3)] < state.stiffness()[(3, 3)]);
-}
-
-#[test]
-fn a_warm_equilibrium_of_two_corrections_is_what_a_third_makes_of_it() {
-    let mut two = 0;
-    for degrees in [30.0, 60.0] {
-        let m = module(degrees, 5.56e-3, 0.01);
-        for number in 1..=5 {
-            for (from, to) in [(2.0, 2.04), (2.0, 2.2), (3.0, 2.9), (0.5, 1.0)] {
-                let near = m.equilibrium(&case(number, from)).unwrap();
-                let state = m.equilibrium_from(&near, &case(number, to)).unwrap();
-                let again = m.equilibrium_from(&state, &case(number, to)).unwrap();
-                two += usize::from(state.iterations() == 2);
-                // What the first may leave, and twice the square of a share of 0.05 for what its tangent may be off by.
-                assert!((state.position() - again.position()).norm() < 1e-7 * LENGTH, "{degrees} deg, case {number}");
-                assert!((state.rotation() * again.rotation().inverse()).angle() < 1e-7);
-                assert_eq!(state.negative_pivots(), again.negative_pivots());
-                let [a, b] = [&state, &again].map(|state| state.by_pressure().unwrap());
-                for (a, b) in a.iter().zip(&b) {
-                    assert!((a - b).norm() < 5e-3 * b.norm(), "{a} {b}");
-                }
-            }
-        }
-    }
-    assert!(two > 10, "{two} of 40 by two corrections");
 }
 
 #[test]
