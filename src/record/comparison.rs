@@ -113,6 +113,7 @@ impl Comparison {
                 }
                 all => all?,
             };
+            remarks.extend(all.remark().map(|remark| format!("{}: {remark}", run.id())));
             let Some(signals) = primary(run, &all).cloned() else { continue };
             let index = rows.len();
             rows.push(row(run, &all, &signals));
@@ -157,6 +158,9 @@ impl Comparison {
         }
         if a.start().simulated() != b.start().simulated() {
             remarks.push("one of the runs is SIMULATED, the other is not".into());
+        }
+        for (run, all) in [(a, &all_a), (b, &all_b)] {
+            remarks.extend(all.remark().map(|remark| format!("{}: {remark}", run.id())));
         }
         for run in [a, b].into_iter().filter(|run| !run.is_complete()) {
             remarks.push(format!("{} is incomplete: it is compared as far as it goes", run.id()));

@@ -248,6 +248,11 @@ impl TipPath {
         Ok(Some(path))
     }
 
+    /// Whether its points are further apart than those of a short run.
+    pub fn is_thinned(&self) -> bool {
+        self.step > STEP
+    }
+
     /// Leaves every second point, and takes half as many from here on.
     fn halve(&mut self) {
         fn every_second<T>(all: &mut Vec<T>) {

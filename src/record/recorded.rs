@@ -79,6 +79,22 @@ impl Recorded {
         let deadline_misses = (last - first).max(0.0) as u64;
         Ok(Self { frees, records: walk.records as u64, every: walk.every as u64, deadline_misses })
     }
+
+    /// What is left out of a long run, in words.
+    pub fn remark(&self) -> Option<String> {
+        let (first, averaged) = (self.frees.first()?, self.frees.iter().map(|s| s.drive.averaged).max()?);
+        let apart = first.t.get(1)? - first.t.first()?;
+        let kept = (self.every > 1).then(|| {
+            format!(
+                "A long run, {} records: plots and moves are of every {}th, {apart:.3} s apart; RMS, peak and final error \
+                 and the highest pressure are of all.",
+                self.records, self.every
+            )
+        });
+        let model = (averaged > 1).then(|| format!("The model follows means of {averaged} readings of the pressure."));
+        let text: Vec<String> = kept.into_iter().chain(model).collect();
+        (!text.is_empty()).then(|| text.join(" "))
+    }
 }
 
 /// Where the walk is.
@@ -314,6 +330,8 @@ mod tests {
         assert_eq!(error.peak_rad, 1.0);
         // The last 51 records: 1 - i / 800 over i = 749 .. 799.
         assert!((error.final_rad - 26.0 / n).abs() < 1e-12, "{error:?}");
+        let remark = thin.remark().unwrap();
+        assert!(whole.remark().is_none() && remark.contains("1000 records") && remark.contains("0.032 s"), "{remark}");
         // The model is driven by the readings, not by the records, in both.
         assert_eq!((all.drive.t.len(), all.drive.averaged, few.drive.t.len()), (250, 1, 250));
         assert!(all.measured && all.quantity == Quantity::Angle && few.quantity == Quantity::Angle);

@@ -60,7 +60,7 @@ fn html(run: &Run, watch: &mut dyn FnMut(f64)) -> Result<(String, Metrics)> {
     if !start.note.is_empty() {
         page.raw(&format!("<p class=\"note\">{}</p>", escape(&start.note)));
     }
-    if let Some(remark) = thinned(&recorded) {
+    if let Some(remark) = recorded.remark() {
         page.raw(&format!("<p class=\"warning\">{}</p>", escape(&remark)));
     }
     page.raw("</header><main>");
@@ -98,22 +98,6 @@ fn html(run: &Run, watch: &mut dyn FnMut(f64)) -> Result<(String, Metrics)> {
     Ok((page.end(), metrics))
 }
 
-/// What a long run's report leaves out.
-fn thinned(recorded: &Recorded) -> Option<String> {
-    let (first, averaged) = (recorded.frees.first()?, recorded.frees.iter().map(|s| s.drive.averaged).max()?);
-    let apart = first.t.get(1)? - first.t.first()?;
-    let kept = (recorded.every > 1).then(|| {
-        format!(
-            "A long run, {} records: plots and moves are of every {}th, {apart:.3} s apart; RMS, peak and final error \
-             and the highest pressure are of all.",
-            recorded.records, recorded.every
-        )
-    });
-    let model = (averaged > 1).then(|| format!("The model follows means of {averaged} readings of the pressure."));
-    let text: Vec<String> = kept.into_iter().chain(model).collect();
-    (!text.is_empty()).then(|| text.join(" "))
-}
-
 fn heading(start: &StartDocument) -> String {
     let what = start.name();
     if start.subject.is_empty() { what.into() } else { format!("{what} - {}", start.subject) }
@@ -144,6 +128,12 @@ fn tip_section(page: &mut Page, path: &TipPath, metrics: Option<TipMetrics>, sta
         }
     }
     page.raw("</div>");
+    if path.is_thinned() {
+        page.raw(&format!(
+            "<p class=\"warning\">A long run: the plate's way is looked at every {:.2} s.</p>",
+            path.step
+        ));
+    }
     page.figure("Way of the plate's centre, from above", &figures::tip_from_above(path).svg()?);
     page.figure("The same over time", &figures::tip_over_time(path).svg()?);
     page.raw("</section>");

@@ -8,7 +8,7 @@ use anyhow::{Context as _, anyhow};
 use nalgebra::{Vector2, Vector3};
 use serde::Serialize;
 
-use super::{Shares, Stop, psi, refused};
+use super::{Shares, Stop, refused};
 use crate::cli::scene::{Built, SceneArgs, build};
 use crate::cli::table::{Table, number};
 use crate::cli::{Context, Failure, Progress};
@@ -175,7 +175,7 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     let drawings: Vec<ModuleDrawing<'_>> = found.iter().map(Found::drawing).collect();
     let title =
         format!("Workspace of modules of {}", found.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(", "));
-    workspace_sheet(&title, &drawings, report.facts(), report.remarks.clone(), &recording).write(&place(&page))?;
+    workspace_sheet(&title, &drawings, report.page_facts(), report.remarks.clone(), &recording).write(&place(&page))?;
     workspace_recording(&place(&recording), &title, &drawings)?;
     if let Some(path) = &args.csv {
         write_csv(path, &report).with_context(|| format!("cannot write {}", path.display()))?;
@@ -390,16 +390,16 @@ impl ModuleReport {
             ),
         ));
         facts.push((format!("{name}, least margin on a path"), format!("{:.3}", self.least_margin)));
-        let ends: Vec<String> = (self.paths.iter())
-            .filter_map(|path| path.ended.as_ref().map(|stop| (path, stop)))
-            .map(|(path, stop)| {
-                format!("Case {} ({}): at {} {}", path.case, path.frees, psi(&stop.pressures_pa), stop.reason)
-            })
-            .collect();
-        let ends =
-            if ends.is_empty() { "none: every path goes to its highest pressure".into() } else { ends.join("; ") };
-        facts.push((format!("{name}, ends"), ends));
         facts
+    }
+
+    /// Case, FREEs, pressure and reason of every path that ends before its highest pressure.
+    fn ends(&self) -> impl Iterator<Item = [String; 4]> {
+        self.paths.iter().filter_map(|path| path.ended.as_ref().map(|stop| (path, stop))).map(|(path, stop)| {
+            let highest = stop.pressures_pa.iter().copied().fold(0.0, f64::max);
+            let pressure = number(Some(highest / PASCAL_PER_PSI), 2);
+            [path.case.to_string(), path.frees.clone(), pressure, stop.reason.clone()]
+        })
     }
 
     fn table(&self) -> Table {
@@ -457,10 +457,26 @@ impl Report {
         facts
     }
 
+    /// The facts and, path by path, where it ends and why.
+    fn page_facts(&self) -> Vec<(String, String)> {
+        let ends = self.modules.iter().flat_map(|module| {
+            module.ends().map(|[case, frees, psi, reason]| {
+                (format!("{}, Case {case} ({frees}) ends", module.name()), format!("at {psi} psi: {reason}"))
+            })
+        });
+        self.facts().into_iter().chain(ends).collect()
+    }
+
     fn text(&self) -> String {
         let mut text = String::new();
         for module in &self.modules {
             text += &format!("{}\n\n{}\n\n", module.name(), module.table());
+            let mut ends = module.ends().peekable();
+            if ends.peek().is_some() {
+                let mut table = Table::new(&[">case", "FREEs", ">ends at psi", "because"]);
+                ends.for_each(|end| table.row(end));
+                text += &format!("{table}\n\n");
+            }
         }
         if !self.paper.is_empty() {
             let mut table = Table::new(&["against the paper", ">ours", ">paper", ">misfit"]);

@@ -40,7 +40,8 @@ pub fn rods_discretisation_error(scene: &ModuleScene, rest: &Vector3<f64>, law: 
 }
 
 /// Estimated relative model error of the rods: the part of the ends, which a rod does not have, in what one of the
-/// FREEs does by itself, free, at `pressure` Pa. None for fibres without width.
+/// FREEs does by itself, free, at `pressure` Pa, or at half of it where it has no equilibrium there by itself. None where
+/// it has neither, and for fibres without width.
 ///
 /// # Errors
 /// As [`ask`].
@@ -53,12 +54,20 @@ pub fn rods_model_error(scene: &ModuleScene, pressure: f64) -> Result<Option<f64
     };
     let mut singles: Vec<Scene> = scene.frees.iter().map(right).collect();
     singles.dedup();
-    let mut worst: Option<f64> = None;
-    for single in &singles {
-        let ends = model_error(single, &ask(single, Fidelity::Section, &mut |_| {})?)?;
-        worst = worst.into_iter().chain(ends).reduce(f64::max);
+    let mut worst = 0.0;
+    for mut single in singles {
+        let mut answer = ask(&single, Fidelity::Section, &mut |_| {})?;
+        if answer.points[0].rest.is_none() {
+            single.pressures = vec![0.5 * pressure];
+            answer = ask(&single, Fidelity::Section, &mut |_| {})?;
+        }
+        let known = answer.points[0].rest.is_some();
+        match model_error(&single, &answer)? {
+            Some(ends) if known => worst = f64::max(worst, ends),
+            _ => return Ok(None),
+        }
     }
-    Ok(worst)
+    Ok(Some(worst))
 }
 
 /// What the solid of the whole module says.

@@ -11,11 +11,6 @@ use crate::fem::rod::{
 
 /// A correction below this (see [`Step::within`]) ends the iteration: Newton squares it, so what is left is 1e-10.
 const CONVERGED: f64 = 1e-5;
-/// So does one after which less than this is left (see [`Step::leaves`]): nanometres of a module.
-const LEFT: f64 = 1e-7;
-/// If it is at most this share of the one before: then the tangent that it came from, and with it inertia and
-/// sensitivities, holds at its end, too, but for twice the square, half a per cent at most.
-const SHARE: f64 = 0.05;
 /// The same for a stop on the way, which only has to be a good start for the next.
 const NEARBY: f64 = 1e-3;
 /// Each correction must be below this share of the one before.
@@ -41,20 +36,6 @@ pub(super) struct Step {
 }
 
 impl Step {
-    /// Before the first correction.
-    const NONE: Step = Step { size: f64::INFINITY, load: f64::INFINITY };
-
-    /// What the next correction will be at most, and this one's share of the one `before`.
-    ///
-    /// Newton's corrections obey `s' <= w s^2 / 2`, w being the change of the tangent, relative to itself, by a motion
-    /// of unit size. The two last ones tell it, `w = 2 s / before^2`, so that `s' <= s (s / before)^2`, and along s the
-    /// tangent changes by `w s = 2 (s / before)^2`: less than itself, so that no eigenvalue passes zero on the way. Of
-    /// motions and wrenches the larger share is taken for both.
-    fn leaves(&self, before: &Step) -> (Step, f64) {
-        let share = f64::max(self.size / before.size, self.load / before.load);
-        (Step { size: self.size * share * share, load: self.load * share * share }, share)
-    }
-
     /// Motions below `tolerance`; wrenches, which are larger where rods are pulled and not bent, below 100 times that.
     pub fn within(&self, tolerance: f64) -> bool {
         self.size < tolerance && self.load < 100.0 * tolerance
@@ -228,7 +209,7 @@ impl<'a> Solver<'a> {
         tolerance: f64,
         iterations: &mut usize,
     ) -> Result<Unknowns, Option<ModuleError>> {
-        let mut before = Step::NONE;
+        let mut before = f64::INFINITY;
         for _ in 0..ITERATIONS {
             *iterations += 1;
             let linear = self.linearise(&at, loads)?;
@@ -237,14 +218,13 @@ impl<'a> Solver<'a> {
                 false => linear.stiffness.lu().solve(&linear.residual).ok_or(None)?,
             };
             let step = self.advance(&mut at, &eta, None, 1.0);
-            let (left, share) = step.leaves(&before);
-            if step.within(tolerance) || (share > 0.0 && share < SHARE && left.within(LEFT)) {
+            if step.within(tolerance) {
                 return Ok(at);
             }
-            if step.size > (CONTRACTION * before.size).clamp(CONVERGED, LONGEST) {
+            if step.size > (CONTRACTION * before).clamp(CONVERGED, LONGEST) {
                 return Err(None);
             }
-            before = step;
+            before = step.size;
         }
         Err(None)
     }

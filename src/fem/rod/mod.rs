@@ -13,6 +13,7 @@ mod basis;
 mod condensed;
 mod density;
 mod dual;
+mod grid;
 mod law;
 mod profile;
 mod table;
@@ -25,9 +26,10 @@ pub(crate) use basis::Basis;
 pub use basis::Resolution;
 pub(crate) use condensed::{Condensed, blocks, half_bracket, moment_force, twist, vector6, wrench};
 pub(crate) use dual::{DualMatrix, DualVector, Exponential, skew, small_twist};
+pub use grid::{Axis, Grid};
 pub use law::{Jet, Law, LawError, Straight};
 pub use profile::Profile;
-pub use table::{Axis, Grid, Table, TableDeviation, TableError};
+pub use table::{Table, TableDeviation, TableError};
 
 /// A rod of one law. SI units.
 #[derive(Clone, Debug)]

@@ -2,8 +2,8 @@
 
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
+use super::grid::{Axis, Grid};
 use super::law::Jet;
-use super::table::{Axis, Grid};
 
 /// Powers 0 to 4 of each variable.
 const POWERS: usize = 5;
