@@ -137,7 +137,8 @@ fn the_module_comes_to_the_finest_rods() {
     for case in ["30 deg, case 3", "30 deg, case 4", "60 deg, case 3", "60 deg, case 4"] {
         for start in ["cold", "warm"] {
             let of = |how: &str| error(&rows, &format!("equilibrium, {start}"), &format!("{case}, 3.5 psi, {how}"));
-            assert!(of("degree 5, 8 steps") < of("degree 2, 2 steps") && of("degree 4, 4 steps") < 1e-3, "{case}");
+            // Of the plate's travel.
+            assert!(of("degree 5, 8 steps") < of("degree 2, 2 steps") && of("degree 4, 6 steps") < 1e-3, "{case}");
         }
         let jacobian = error(&rows, "Jacobian, from the factorisation", &format!("{case}, 3.5 psi, degree 5, 8 steps"));
         assert!(jacobian < 1e-2, "{case}: {jacobian}");
