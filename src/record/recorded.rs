@@ -133,7 +133,7 @@ impl Walk {
             for (free, columns) in frees.iter_mut().zip(&columns) {
                 let record = Row { t, zero: self.zero, nanoseconds: at(nanoseconds), own: columns.map(at) };
                 free.see(&record, now.is_finite(), index == self.program.map_or(usize::MAX, |(first, _)| first));
-                if index % self.every == 0 {
+                if index.is_multiple_of(self.every) {
                     free.keep(&record);
                 }
             }

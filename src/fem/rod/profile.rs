@@ -180,27 +180,27 @@ impl Isobaric<'_> {
         let y = powers((twist - middle[1]) / half[1]);
         let [mut f, mut fx, mut fy, mut fxx, mut fxy, mut fyy, mut fz, mut fxz, mut fyz] = [0.0; 9];
         let mut next = 0;
-        for a in 0..POWERS {
+        for (a, x) in (0..POWERS).map(|a| (a, [x[0][a], x[1][a], x[2][a]])) {
             // The polynomial of the twist that multiplies this power of the stretch: value and derivatives.
             let [mut c, mut cy, mut cyy, mut d, mut dy] = [0.0; 5];
-            for b in 0..POWERS.min(TOTAL + 1 - a) {
+            for y in (0..POWERS.min(TOTAL + 1 - a)).map(|b| [y[0][b], y[1][b], y[2][b]]) {
                 let (value, slope) = (self.coefficients[0][next], self.coefficients[1][next]);
-                c += value * y[0][b];
-                cy += value * y[1][b];
-                cyy += value * y[2][b];
-                d += slope * y[0][b];
-                dy += slope * y[1][b];
+                c += value * y[0];
+                cy += value * y[1];
+                cyy += value * y[2];
+                d += slope * y[0];
+                dy += slope * y[1];
                 next += 1;
             }
-            f += x[0][a] * c;
-            fx += x[1][a] * c;
-            fxx += x[2][a] * c;
-            fy += x[0][a] * cy;
-            fxy += x[1][a] * cy;
-            fyy += x[0][a] * cyy;
-            fz += x[0][a] * d;
-            fxz += x[1][a] * d;
-            fyz += x[0][a] * dy;
+            f += x[0] * c;
+            fx += x[1] * c;
+            fxx += x[2] * c;
+            fy += x[0] * cy;
+            fxy += x[1] * cy;
+            fyy += x[0] * cyy;
+            fz += x[0] * d;
+            fxz += x[1] * d;
+            fyz += x[0] * dy;
         }
         let (h, k) = (1.0 / half[0], 1.0 / half[1]);
         let (fx, fy, fxx, fxy, fyy) = (fx * h, fy * k, fxx * h * h, fxy * h * k, fyy * k * k);
