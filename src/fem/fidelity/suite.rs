@@ -4,7 +4,7 @@
 //! pressure. All are drawn evenly over their ranges (those that are ratios, over their logarithm), the winding angle
 //! and the pressure over a [bucket](super::certified) that the seed chooses: every bucket is met equally often.
 //!
-//! The truth is [joined](super::joined) of the section's finest mesh that has not folded, and a solid's ends.
+//! The truth is joined of the section's finest mesh that has not folded, and a solid's ends.
 
 use std::f64::consts::PI;
 use std::ops::Range;
