@@ -56,7 +56,8 @@ impl Rest<'_> {
     /// The stable equilibrium at `to` (Pa), followed from `from` along the straight way between; else where the way
     /// ends.
     pub fn onward(&self, from: &State, to: &[f64; 4]) -> Result<State, Box<Ended>> {
-        match self.module().equilibrium_from(from, &self.loads(to)) {
+        // Margins are compared over small steps.
+        match self.module().equilibrium_closely_from(from, &self.loads(to)) {
             Ok(state) if state.stable() => Ok(state),
             found => Err(Box::new(self.locate(from, to, found.err()))),
         }

@@ -11,6 +11,12 @@ use crate::fem::rod::{
 
 /// A correction below this (see [`Step::within`]) ends the iteration: Newton squares it, so what is left is 1e-10.
 const CONVERGED: f64 = 1e-5;
+/// So does a larger one that is below this share of the one before and leaves no more than that (see
+/// [`Solver::settled`]).
+const QUADRATIC: f64 = 0.1;
+const LEFT: f64 = 1e-8;
+/// How many times what the last correction is expected to change of the plate's stiffness its stability has to bear.
+const SAFETY: f64 = 4.0;
 /// The same for a stop on the way, which only has to be a good start for the next.
 const NEARBY: f64 = 1e-3;
 /// Each correction must be below this share of the one before.
@@ -38,7 +44,11 @@ pub(super) struct Step {
 impl Step {
     /// Motions below `tolerance`; wrenches, which are larger where rods are pulled and not bent, below 100 times that.
     pub fn within(&self, tolerance: f64) -> bool {
-        self.size < tolerance && self.load < 100.0 * tolerance
+        self.measure() < tolerance
+    }
+
+    fn measure(&self) -> f64 {
+        self.size.max(0.01 * self.load)
     }
 }
 
@@ -52,6 +62,8 @@ pub(super) struct Solver<'a> {
     step: Vec<f64>,
     /// The plate does not move.
     held: bool,
+    /// Newton's last correction is below [`CONVERGED`] in any case, so that the stiffness is that of the equilibrium.
+    thorough: bool,
 }
 
 impl Module {
@@ -86,6 +98,12 @@ impl Module {
     /// The equilibrium under `loads`, followed from `start`, an equilibrium of this module.
     pub fn equilibrium_from(&self, start: &State, loads: &Loads) -> Result<State, ModuleError> {
         Solver::new(self).follow(&start.loads, start.unknowns.clone(), loads)
+    }
+
+    /// The same, with the stiffness and the clearance at the equilibrium itself and not, as far as stability allows, where
+    /// the last correction began: for whoever takes differences of them. A linearisation more.
+    pub fn equilibrium_closely_from(&self, start: &State, loads: &Loads) -> Result<State, ModuleError> {
+        Solver { thorough: true, ..Solver::new(self) }.follow(&start.loads, start.unknowns.clone(), loads)
     }
 
     /// What the plate of `state`, an equilibrium of this module, would be pushed by, (moment, force) about its centre, if one
@@ -146,6 +164,7 @@ impl<'a> Solver<'a> {
             gaps: vec![Vector6::zeros(); n],
             step: Vec::new(),
             held: false,
+            thorough: false,
         }
     }
 
@@ -156,6 +175,13 @@ impl<'a> Solver<'a> {
     /// The rods as last linearised.
     pub fn assemblies(&self) -> &[Assembly] {
         &self.assemblies
+    }
+
+    /// Moves the rods' nodes to `at`, near the last linearisation.
+    fn move_nodes(&mut self, at: &Unknowns) {
+        for ((assembly, mount), (strains, _)) in self.assemblies.iter_mut().zip(&self.module.mounts).zip(&at.rods) {
+            assembly.move_nodes(&mount.rod, &self.module.basis, strains);
+        }
     }
 
     /// The change of the residual by mu when the loads go from `from` (0) to `to` (1), after [`Solver::linearise`].
@@ -209,7 +235,7 @@ impl<'a> Solver<'a> {
         tolerance: f64,
         iterations: &mut usize,
     ) -> Result<Unknowns, Option<ModuleError>> {
-        let mut before = f64::INFINITY;
+        let mut before: Option<(Step, Matrix6<f64>)> = None;
         for _ in 0..ITERATIONS {
             *iterations += 1;
             let linear = self.linearise(&at, loads)?;
@@ -221,12 +247,36 @@ impl<'a> Solver<'a> {
             if step.within(tolerance) {
                 return Ok(at);
             }
-            if step.size > (CONTRACTION * before).clamp(CONVERGED, LONGEST) {
+            let most = before.as_ref().map_or(f64::INFINITY, |(before, _)| CONTRACTION * before.size);
+            if step.size > most.clamp(CONVERGED, LONGEST) {
                 return Err(None);
             }
-            before = step.size;
+            if before.is_some_and(|(before, first)| self.settled(&at, [&before, &step], [&first, &linear.stiffness])) {
+                self.move_nodes(&at);
+                return Ok(at);
+            }
+            before = Some((step, linear.stiffness));
         }
         Err(None)
+    }
+
+    /// Whether two successive corrections, made with these stiffnesses, and the stability at the second are enough.
+    ///
+    /// Newton's corrections of a smooth problem are `s, L s^2 / 2, ...` with one L that does not depend on the problem's
+    /// units, so that with the ratio r of the two the second one leaves `r^2` of itself. It changes the linearisation by
+    /// r of what the first has changed it by: where the rods are stable at their tips and the stiffness, less some times
+    /// that, is positive, what is stable before the second correction is stable after it. What is not, or hardly, is
+    /// iterated to the end.
+    fn settled(&self, at: &Unknowns, [before, step]: [&Step; 2], [first, second]: [&Matrix6<f64>; 2]) -> bool {
+        let ratio = step.measure() / before.measure();
+        if self.held || self.thorough || ratio > QUADRATIC || ratio * ratio * step.measure() > LEFT {
+            return false;
+        }
+        let scale = about(&at.plate.position()) * Matrix6::from_diagonal(&scale(self.module.length()));
+        let of = |k: &Matrix6<f64>| scale.tr_mul(&((k + k.transpose()) * 0.5 * scale));
+        let change = SAFETY * ratio * of(&(second - first)).norm();
+        let stable = self.condensed.iter().all(|condensed| condensed.unstable == 0);
+        stable && Cholesky::new(of(second) - Matrix6::identity() * change).is_some()
     }
 
     /// Assembles and condenses everything at `at`.
@@ -268,6 +318,7 @@ impl<'a> Solver<'a> {
             let pressure = dp.map_or(0.0, |dp| dp[index]);
             let gap = self.gaps[index] * residual;
             let change = self.condensed[index].expand(eta, &gap, pressure, residual, &mut self.step);
+            self.assemblies[index].move_energy(&self.step, pressure);
             let change = wrench(&change);
             *w += change;
             // What bends the rod, not what would squeeze it: moments, and forces on an arm of its length.
@@ -329,6 +380,11 @@ fn about(centre: &Vector3<f64>) -> Matrix6<f64> {
     blocks(identity, Matrix3::zeros(), skew(centre), identity)
 }
 
+/// Makes the plate's motions in radians and lengths one of radians and m.
+fn scale(length: f64) -> Vector6<f64> {
+    Vector6::new(1.0, 1.0, 1.0, length, length, length)
+}
+
 /// Negative eigenvalues of the symmetric part of K; Cholesky's factorisation is the fast answer where there are none.
 fn negative_modes(stiffness: &Matrix6<f64>, length: f64) -> i32 {
     if Cholesky::new((stiffness + stiffness.transpose()) * 0.5).is_some() {
@@ -339,7 +395,7 @@ fn negative_modes(stiffness: &Matrix6<f64>, length: f64) -> i32 {
 
 /// Eigenvalues (N m) and modes (rotation, translation) of the symmetric part of K, translations measured in `length`.
 pub(super) fn modes(stiffness: &Matrix6<f64>, length: f64) -> impl Iterator<Item = (f64, Vector6<f64>)> {
-    let scale = Vector6::new(1.0, 1.0, 1.0, length, length, length);
+    let scale = scale(length);
     let scaled = Matrix6::from_fn(|i, j| 0.5 * (stiffness[(i, j)] + stiffness[(j, i)]) * scale[i] * scale[j]);
     let eigen = SymmetricEigen::new(scaled);
     (0..6).map(move |i| (eigen.eigenvalues[i], eigen.eigenvectors.column(i).component_mul(&scale)))

@@ -21,6 +21,9 @@ use super::{Rod, RodError};
 /// Unknowns of one mode: bending 2, twist, shear 2, stretch (as a dual vector's components).
 pub(crate) const STRAINS: usize = 6;
 
+/// sqrt(3) / 12.
+const COMMUTATOR: f64 = 0.144_337_567_297_406_43;
+
 /// A rod's energy at given strains, and its derivatives. Vectors of the rod's n unknowns.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Assembly {
@@ -56,6 +59,11 @@ fn strain(modes: &[f64], q: &[f64]) -> DualVector {
     DualVector { re: Vector3::new(x[0], x[1], x[2]), du: Vector3::new(x[3], x[4], 1.0 + x[5]) }
 }
 
+/// The screw of a step of length `h` with the strains `x` at its Gauss points.
+fn screw(x: &[DualVector; 2], h: f64) -> DualVector {
+    (x[0] + x[1]).scaled(0.5 * h) + x[0].cross(&x[1]).scaled(COMMUTATOR * h * h)
+}
+
 impl Assembly {
     /// Fills everything at the strains `q` of `rod` standing at `base` under `pressure` Pa with `wrench` at its tip.
     pub fn fill(
@@ -71,14 +79,14 @@ impl Assembly {
         self.clear(modes);
         self.constitutive(rod, basis, pressure, q)?;
         let h = rod.length / steps as f64;
-        let commutator = 3f64.sqrt() / 12.0 * h * h;
+        let commutator = COMMUTATOR * h * h;
         let wrench_skew = wrench.skew();
         let mut g = *base;
         self.nodes.push(g);
         for step in 0..steps {
             let phi = [basis.at(2 * step), basis.at(2 * step + 1)];
             let x = phi.map(|p| strain(p, q));
-            let t = (x[0] + x[1]).scaled(0.5 * h) + x[0].cross(&x[1]).scaled(commutator);
+            let t = screw(&x, h);
             let angle = t.re.norm();
             if angle.is_nan() || angle > MAX_ANGLE {
                 return Err(RodError::TooCoarse { angle, steps });
@@ -132,6 +140,20 @@ impl Assembly {
         room.clear(basis.modes);
         room.constitutive(other, basis, pressure, q)?;
         Ok(room.internal.iter().zip(&self.internal).map(|(b, a)| b - a).collect())
+    }
+
+    /// Moves the energy alone by the changes `dq` and `dp` (Pa): to first order.
+    pub fn move_energy(&mut self, dq: &[f64], dp: f64) {
+        self.energy += self.internal.iter().zip(dq).map(|(g, d)| g * d).sum::<f64>() + self.energy_by_pressure * dp;
+    }
+
+    /// Moves the poses of the nodes alone to the strains `q`, near those of [`Assembly::fill`].
+    pub fn move_nodes(&mut self, rod: &Rod, basis: &Basis, q: &[f64]) {
+        let h = rod.length / basis.steps as f64;
+        for step in 0..basis.steps {
+            let x = [0, 1].map(|point| strain(basis.at(2 * step + point), q));
+            self.nodes[step + 1] = self.nodes[step] * Exponential::new(screw(&x, h)).pose();
+        }
     }
 
     /// The tip's pose.
