@@ -321,3 +321,25 @@ fn the_solid_answers_what_the_rods_are_asked() {
         assert!((8.0e-3..8.87e-3).contains(&clearance), "{clearance}");
     }
 }
+
+#[test]
+fn where_the_ends_matter_auto_corrects_the_rods_before_it_asks_the_solid() {
+    let folder = place();
+    let fixed = ["model", "module", "--gamma", "30deg", "--json"];
+    let flags = ["--pressures", "3.5psi,3.5psi,0psi,0psi", "--gravity", "none"];
+    let asked = [&fixed, &MODULE[..], &flags, &["--tolerance", "3%"]].concat();
+    let corrected = json(&freerig(folder.path(), &asked));
+    let bare = model(folder.path(), "30deg", &flags);
+    let reason = corrected["reason"].as_str().unwrap();
+    assert!(corrected["fidelity"] == "rod" && reason.contains("; with a dead length "), "{reason}");
+    // Beyond the tolerance without the correction, within it with: told as a discretisation's and the ends' part.
+    let share = |key: &str| corrected[key].as_f64().unwrap();
+    let (resolution, ends) = (share("discretisation_error_estimate"), share("model_error_estimate"));
+    assert!(resolution > 0.0 && ends > 0.0 && resolution + ends <= 0.03, "{resolution} {ends}");
+    assert!(bare["model_error_estimate"].is_null());
+    // The solid of the module (docs/models.md), which the answer is as near to as it says, and the bare rods are not.
+    let solid = [0.0, 14.235e-3, 126.600e-3];
+    let travel = apart(solid, [0.0, 0.0, REST]);
+    let [with, without] = [&corrected, &bare].map(|answer| apart(numbers(&answer["position_m"]), solid) / travel);
+    assert!(with <= resolution + ends && without > 2.0 * with, "{with} {without}");
+}

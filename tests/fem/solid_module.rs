@@ -3,7 +3,7 @@
 //! The mesh is coarse (one element through the wall, six round, line fibres, which have no mesh-converged answer), and
 //! the rods of module.csv neither shear nor have ends: what they can be held to is said at each test.
 
-use freerig::fem::fidelity::{dead_length, module_mesh, solid_answers};
+use freerig::fem::fidelity::{dead_length, module_mesh, rods_model_error, solid_answers};
 use freerig::fem::module::{Kind, Loads, Module, ModuleScene, Path};
 use freerig::fem::rod::Resolution;
 use freerig::fem::section;
@@ -252,4 +252,15 @@ fn refusals_name_the_rule() {
     assert!(said(Mesh::whole(&tube), 0.01).contains("outer diameter"));
     assert!(said(Mesh::sector(&tube), 0.02).contains("cannot bend"));
     assert!(said(Mesh { most_turn: 2.0, ..Mesh::whole(&tube) }, 0.02).contains("turn"));
+}
+
+#[test]
+fn ends_are_estimated_at_half_of_a_pressure_that_a_single_free_does_not_bear() {
+    // By itself a FREE of 30 deg runs away at 5.6 psi or so; the others of a module hold it.
+    let scene = ModuleScene::reference(30f64.to_radians());
+    let [beyond, half] = [7.0, 3.5].map(|psi| rods_model_error(&scene, psi * PSI).unwrap());
+    assert!(half.is_some_and(|ends| ends > 0.005 && ends < 0.1), "{half:?}");
+    assert_eq!(beyond, half);
+    // Where it bears neither, nothing is told.
+    assert_eq!(rods_model_error(&scene, 20.0 * PSI).unwrap(), None);
 }
