@@ -68,8 +68,10 @@ pub const JUMP_FACTOR: f64 = 2.0;
 const REBASE_AFTER: Duration = Duration::from_millis(500);
 /// How often mode, units, axis map and calibration status are looked at.
 const SUPERVISION_PERIOD: Duration = Duration::from_secs(1);
-/// A chip just powered answers nothing for this long (table 0-2, reset to CONFIG mode), and some reserve.
+/// A chip that has just been powered or reset answers nothing for this long: the 650 ms of table 0-2 are typical ones.
 const START_LIMIT: Duration = Duration::from_millis(850);
+/// Between two looks whether it does.
+const START_POLL: Duration = Duration::from_millis(10);
 /// From the change of mode to the first fusion frame, at most.
 const FIRST_FRAME: Duration = Duration::from_millis(30);
 
@@ -101,6 +103,8 @@ enum Step {
 pub enum Progress {
     /// Go on at this time; the bus is free until then.
     Wait(Time),
+    /// It does not answer yet, as one that has just been reset may: ask again at this time.
+    Silent(Time),
     /// The sensor runs.
     Running(Identity),
 }
@@ -113,6 +117,8 @@ pub struct Bno055<I> {
     device: Arc<str>,
     profile: Option<ImuProfile>,
     step: Step,
+    /// When it was reset last, as far as is known.
+    reset: Option<Time>,
     identity: Identity,
     unique_id: [u8; 16],
     supervised: Time,
@@ -132,6 +138,7 @@ impl<I: I2c> Bno055<I> {
             device: format!("BNO055 at {address:#04x} on {name}").into(),
             profile,
             step: Step::Probe,
+            reset: None,
             identity: Identity::default(),
             unique_id: [0; 16],
             supervised: Time::ZERO,
@@ -159,6 +166,11 @@ impl<I: I2c> Bno055<I> {
         self.frame = [0; 26];
     }
 
+    /// Its power or its reset line has come back just now: it may need a while until it answers.
+    pub fn was_reset(&mut self) {
+        self.reset = Some(self.clock.now());
+    }
+
     /// Does the next step of the set-up: a few transfers, no waiting. After an error the set-up starts over.
     pub fn advance(&mut self) -> Result<Progress, HardwareError> {
         let outcome = match self.step {
@@ -179,11 +191,20 @@ impl<I: I2c> Bno055<I> {
                 self.step = next;
                 Ok(Progress::Wait(self.clock.now() + pause))
             }
+            // To reset it again would only begin anew.
+            Err(HardwareError::NoAnswer { .. }) if self.is_starting() => {
+                Ok(Progress::Silent(self.clock.now() + START_POLL))
+            }
             Err(error) => {
                 self.restart();
                 Err(error)
             }
         }
+    }
+
+    fn is_starting(&self) -> bool {
+        matches!(self.step, Step::Probe | Step::Configure)
+            && self.reset.is_some_and(|reset| self.clock.now().since(reset) < START_LIMIT)
     }
 
     /// Reads the profile that the chip has found by itself, with its unique number. Stops the fusion for about
@@ -213,6 +234,7 @@ impl<I: I2c> Bno055<I> {
         }
         let mut wait = Deferred::default();
         self.chip(BNO055OperationMode::CONFIG_MODE, |chip| chip.soft_reset(&mut wait))?;
+        self.was_reset();
         Ok((Step::Configure, wait.0))
     }
 
@@ -414,15 +436,11 @@ impl<I: I2c> Imu for Bno055<I> {
     /// Resets and sets up; blocks for 0.7 s, or longer if the chip has only just got its power.
     fn connect(&mut self) -> Result<Identity, HardwareError> {
         self.restart();
-        let begun = self.clock.now();
+        self.was_reset();
         loop {
-            match self.advance() {
-                Ok(Progress::Running(identity)) => return Ok(identity),
-                Ok(Progress::Wait(until)) => self.clock.block_until(until),
-                Err(HardwareError::NoAnswer { .. }) if self.clock.now().since(begun) < START_LIMIT => {
-                    self.clock.block_until(self.clock.now() + Duration::from_millis(50));
-                }
-                Err(error) => return Err(error),
+            match self.advance()? {
+                Progress::Running(identity) => return Ok(identity),
+                Progress::Wait(until) | Progress::Silent(until) => self.clock.block_until(until),
             }
         }
     }

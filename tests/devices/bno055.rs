@@ -106,9 +106,10 @@ fn set_up_leaves_imu_mode_si_like_units_and_the_unmapped_axes() {
     let bench = Bench::new(resting);
     let begun = bench.clock.now();
     let identity = bench.driver().connect().expect("connects");
-    // Reset 650 ms, mode change and first frame 49 ms, transfers.
+    // The reset of this slow chip 690 ms, a look every 10 ms whether it is over, mode change and first frame 49 ms,
+    // transfers.
     let took = bench.clock.now().since(begun).as_secs_f64();
-    assert!((0.699..0.71).contains(&took), "{took} s");
+    assert!((0.739..0.76).contains(&took), "{took} s");
     assert_eq!(bench.raw(0x3D) & 0x0F, 0x08);
     assert_eq!([0x3B, 0x41, 0x42, 0x07].map(|r| bench.raw(r)), [0x00, 0x24, 0x00, 0x00]);
     assert_eq!(identity.firmware, "3.11");

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use embedded_hal::i2c::{ErrorKind, ErrorType, I2c, Operation};
+use embedded_hal::i2c::{Error, ErrorKind, ErrorType, I2c, Operation};
 use freerig::clock::{Clock, Stepper, Time};
 use freerig::hardware::i2c_owner::{DAC_PERIOD, I2cOwner, I2cPorts};
 use freerig::hardware::wiring::{DacChannel, DacWiring, I2cWiring, ImuWiring};
@@ -473,26 +473,27 @@ impl Drop for AdapterHandle {
     }
 }
 
+/// `Other` where the adapter itself has gone.
 #[derive(Debug)]
-struct Gone;
+struct AdapterError(ErrorKind);
 
-impl embedded_hal::i2c::Error for Gone {
+impl Error for AdapterError {
     fn kind(&self) -> ErrorKind {
-        ErrorKind::Other
+        self.0
     }
 }
 
 impl ErrorType for AdapterHandle {
-    type Error = Gone;
+    type Error = AdapterError;
 }
 
 impl I2c for AdapterHandle {
-    fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), Gone> {
+    fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), AdapterError> {
         self.1 &= self.0.plugged.load(Ordering::Relaxed);
         if !self.1 {
-            return Err(Gone);
+            return Err(AdapterError(ErrorKind::Other));
         }
-        self.0.bus.transaction(address, operations).map_err(|_| Gone)
+        self.0.bus.transaction(address, operations).map_err(|error| AdapterError(error.kind()))
     }
 }
 

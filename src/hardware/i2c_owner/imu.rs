@@ -22,10 +22,10 @@ const STUCK_AFTER: Duration = Duration::from_millis(500);
 
 /// Period of the chip's fusion frames, by its own oscillator.
 const FRAME: Duration = Duration::from_millis(10);
-/// How long the reset line is pulled (20 ns would do), and how long the chip takes from there until it answers (650
-/// ms).
+/// How long the reset line is pulled (20 ns would do), and how long the chip takes from there, typically, until it
+/// answers.
 const PULL: Duration = Duration::from_millis(5);
-const START: Duration = Duration::from_millis(660);
+const START: Duration = Duration::from_millis(650);
 
 pub(super) struct ImuSeat<I> {
     pub wiring: ImuWiring,
@@ -170,6 +170,9 @@ impl<I: I2c> ImuSeat<I> {
     fn set_up(&mut self, clock: &Clock, open: Open<'_, I>) {
         if std::mem::take(&mut self.pulled) {
             self.drive_reset(false);
+            if let Some(driver) = &mut self.driver {
+                driver.was_reset();
+            }
             self.resume = clock.now() + START;
             return;
         }
@@ -193,6 +196,7 @@ impl<I: I2c> ImuSeat<I> {
                 self.answering = true;
                 self.resume = until;
             }
+            Ok(Progress::Silent(until)) => self.resume = until,
             Ok(Progress::Running(identity)) => {
                 self.statistics.note_connected(identity);
                 self.running = true;

@@ -12,8 +12,8 @@ use super::i2c::{I2cChip, Nak};
 use crate::clock::Time;
 use crate::sim::ImuSim;
 
-/// From power-on or reset to the first acknowledge (table 0-2 gives 650 ms for reset to config mode).
-const START: Duration = Duration::from_millis(650);
+/// From power-on or reset to the first acknowledge: table 0-2 gives 650 ms as typical, and this chip is a slow one.
+const START: Duration = Duration::from_millis(690);
 /// From CONFIG to any other mode, and back (table 3-6).
 const LEAVE_CONFIG: Duration = Duration::from_millis(7);
 const ENTER_CONFIG: Duration = Duration::from_millis(19);

@@ -1,9 +1,9 @@
 //! The bench of the hardware-in-the-loop test, outside the emulator: freerig's simulated chips and plant, in the emulated
 //! machine's time, behind an emulated USB adapter for the I2C bus and an emulated serial port.
 //!
-//! `hil-bench RIG USB SERIAL MONITOR ORDERS`: the rig file, the emulator's three sockets, and a folder. A file `unplug` there pulls
-//! the adapter's plug, a file `plug` puts it in again; each goes when it has been done. The file `truth` there says the
-//! first FREE's true pressure in Pa, ten times a second. It ends with its standard input.
+//! `hil-bench RIG USB SERIAL TIME ORDERS`: the rig file, the emulator's three sockets, and a folder. A file `unplug`
+//! there pulls the adapter's plug, a file `plug` puts it in again; each goes when it has been done. The file `truth`
+//! there says the first FREE's true pressure in Pa, ten times a second. It ends with its standard input.
 
 mod adapter;
 mod pace;
@@ -38,8 +38,8 @@ struct Plug {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let paths: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
-    let [rig, usb, serial, monitor, orders] = &paths[..] else {
-        return Err("usage: hil-bench RIG USB SERIAL MONITOR ORDERS".into());
+    let [rig, usb, serial, time, orders] = &paths[..] else {
+        return Err("usage: hil-bench RIG USB SERIAL TIME ORDERS".into());
     };
     let rig = Rig::load(rig)?;
     let axes: Vec<_> = rig.control.frees.iter().map(|f| f.imu.map_or([0.0, 0.0, 1.0], |imu| imu.axis)).collect();
@@ -49,7 +49,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (bus, _) = sim.i2c(0).ok_or("the rig has no I2C bus")?;
     let line = Arc::clone(sim.line(0).ok_or("the rig has no serial line")?);
     let plug = Arc::new(Mutex::new(Plug::default()));
-    let pace = Pace::new(monitor, stepper);
+    let pace = Pace::new(time, stepper);
 
     spawn({
         let (usb, plug, pace) = (usb.clone(), Arc::clone(&plug), pace.clone());

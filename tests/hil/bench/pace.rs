@@ -14,15 +14,16 @@ pub const STEP: Duration = Duration::from_millis(5);
 /// Frequency of the timer, Hz, and its range (ACPI specification, 4.8.3.3).
 const FREQUENCY: u64 = 3_579_545;
 const RANGE: u64 = 1 << 24;
-/// "I/O port read" of the 32 bits where the emulated chipset has the timer.
-const QUESTION: &[u8] = br#"{"execute":"human-monitor-command","arguments":{"command-line":"i /xw 0x608"}}"#;
+/// Reads the 32 bits at the port where the emulated chipset has the timer, in the words of QEMU's test protocol, which
+/// takes far less of the emulator than its monitor's.
+const QUESTION: &[u8] = b"inl 0x608\n";
 
 /// What moves the bench's time; clones move the same one.
 #[derive(Clone)]
 pub struct Pace(Arc<Mutex<Machine>>);
 
 struct Machine {
-    monitor: PathBuf,
+    socket: PathBuf,
     connection: Option<BufReader<UnixStream>>,
     /// What the timer said last, and what it has counted since the start.
     last: Option<u64>,
@@ -32,16 +33,10 @@ struct Machine {
 }
 
 impl Pace {
-    /// Follows the machine whose monitor listens at the socket `monitor`.
-    pub fn new(monitor: &Path, stepper: Stepper) -> Self {
-        let machine = Machine {
-            monitor: monitor.into(),
-            connection: None,
-            last: None,
-            counted: 0,
-            stepper,
-            asked: Instant::now(),
-        };
+    /// Follows the machine whose emulator can be asked for it at `socket`.
+    pub fn new(socket: &Path, stepper: Stepper) -> Self {
+        let machine =
+            Machine { socket: socket.into(), connection: None, last: None, counted: 0, stepper, asked: Instant::now() };
         let pace = Self(Arc::new(Mutex::new(machine)));
         spawn({
             let pace = pace.clone();
@@ -78,22 +73,12 @@ impl Machine {
     fn ask(&mut self) -> Option<u64> {
         let connection = match &mut self.connection {
             Some(connection) => connection,
-            None => {
-                let mut stream = UnixStream::connect(&self.monitor).ok()?;
-                stream.write_all(br#"{"execute":"qmp_capabilities"}"#).ok()?;
-                self.connection.insert(BufReader::new(stream))
-            }
+            None => self.connection.insert(BufReader::new(UnixStream::connect(&self.socket).ok()?)),
         };
         connection.get_mut().write_all(QUESTION).ok()?;
-        // Greetings and events come in between.
-        loop {
-            let mut line = String::new();
-            if connection.read_line(&mut line).ok()? == 0 {
-                return None;
-            }
-            let Some((_, value)) = line.split_once("= 0x") else { continue };
-            let end = value.find(|c: char| !c.is_ascii_hexdigit())?;
-            return u64::from_str_radix(&value[..end], 16).ok().map(|timer| timer % RANGE);
-        }
+        let mut line = String::new();
+        connection.read_line(&mut line).ok()?;
+        let timer = u64::from_str_radix(line.trim_end().strip_prefix("OK 0x")?, 16).ok()?;
+        Some(timer % RANGE)
     }
 }
