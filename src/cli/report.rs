@@ -6,7 +6,7 @@ use serde_json::json;
 
 use super::table::Table;
 use super::{Context, Failure, Progress, runs};
-use crate::record::{FreeMetrics, Metrics, Run, write_report};
+use crate::record::{FreeMetrics, Metrics, ON_THE_WAY, Run, write_report};
 use crate::units::PASCAL_PER_PSI;
 
 const EXAMPLES: &str = "\
@@ -101,11 +101,12 @@ fn figures(free: &FreeMetrics) -> Table {
     if let Some(rad) = free.model_rmsd_rad {
         table.row(["RMSD to the model".into(), share(rad, free.model_rmsd_percent)]);
     }
+    let moving = if free.on_the_way { format!(", {ON_THE_WAY}") } else { String::new() };
     if let Some(rad) = free.rest_rmsd_rad {
-        table.row(["RMSD to the model at rest".into(), share(rad, free.rest_rmsd_percent)]);
+        table.row(["RMSD to the model at rest".into(), share(rad, free.rest_rmsd_percent) + &moving]);
     }
     if let Some(rad) = free.hysteresis_rad {
-        table.row(["hysteresis".into(), share(rad, free.hysteresis_percent)]);
+        table.row(["hysteresis".into(), share(rad, free.hysteresis_percent) + &moving]);
     }
     if let Some(pressure) = free.highest_pressure_pa {
         table.row(["highest pressure".into(), format!("{:.3} psi", pressure / PASCAL_PER_PSI)]);

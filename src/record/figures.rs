@@ -8,12 +8,12 @@ use super::bars::Bars;
 use super::columns::{column_name, limit_names, state_of};
 use super::document::FaultDocument;
 use super::lanes::{Lane, Lanes, state_color};
-use super::metrics::ways;
 use super::module::TipPath;
 use super::plot::{Band, Line, Plot};
 use super::prediction;
 use super::run::Run;
 use super::signals::{Signals, interpolate};
+use super::sweep::ways_together;
 use super::{Result, palette};
 use crate::config::Temperatures;
 use crate::signal::{FaultSet, Quantity};
@@ -118,12 +118,12 @@ pub fn terms(signals: &Signals) -> Plot {
 /// Twist per length against pressure, both ways, with the model at rest.
 pub fn sweep(signals: &Signals) -> Plot {
     let window = signals.window.clone();
-    let (pressure, angle) = (&signals.pressure[window.clone()], &signals.angle[window]);
+    let pressure = &signals.pressure[window];
     let length_mm = signals.free.map_or(f64::NAN, |f| f.length * 1e3);
     let twist = |values: &[f64]| values.iter().map(|v| v.to_degrees() / length_mm).collect::<Vec<_>>();
     let highest = pressure.iter().copied().filter(|p| p.is_finite()).fold(0.0, f64::max);
     let (model_pressure, model) = prediction::quasi_static(signals, highest);
-    let (up, down) = ways(pressure, angle);
+    let [up, down] = ways_together(signals);
     let mut lines = vec![
         Line::new("up", palette::BLUE, &psi(&up[0]), twist(&up[1])),
         Line::new("down", palette::GREEN, &psi(&down[0]), twist(&down[1])),

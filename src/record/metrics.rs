@@ -10,7 +10,7 @@
 //! | steady error | mean error over the last fifth of the hold |
 //! | RMSD to the model | RMS of angle - model over the range of the reference (of the angle in a sweep), and in rad |
 //! | RMSD to the model at rest | in a sweep: RMS of angle - model at rest at the same pressure, over the range of the angle |
-//! | hysteresis | greatest difference of the angle between the ways up and down at one pressure, over its range; at the ends of the holds, where a sweep has them |
+//! | hysteresis | greatest difference of the angle between the ways up and down of a cycle at one pressure, over its range; the mean over the cycles; at the ends of the holds, where a sweep has them |
 //!
 //! The angle is the estimate that the controller acts on; with the simulated rig the same figures of the true
 //! angle stand beside.
@@ -23,17 +23,19 @@ use super::module::{Apart, TipPath};
 use super::prediction;
 use super::recorded::Recorded;
 use super::run::Run;
-use super::signals::{Signals, interpolate};
+use super::signals::Signals;
+use super::sweep::Loops;
 use crate::signal::Quantity;
 
 /// Share of a move within which the angle counts as settled.
 const SETTLED: f64 = 0.02;
 /// Shortest stand-still of the reference that counts as a hold, s.
-const SHORTEST_HOLD: f64 = 0.2;
-/// Fewest holds on each way that a sweep is judged by; with fewer it counts as a slow ramp.
-const FEWEST_HOLDS: usize = 3;
+pub(super) const SHORTEST_HOLD: f64 = 0.2;
 /// Smallest difference between two holds that counts as a move, rad.
 const SMALLEST_MOVE: f64 = 0.0087;
+
+/// What figures of a sweep are marked with that are not of its holds.
+pub const ON_THE_WAY: &str = "with the pressure on its way: fewer than three holds up and down";
 
 /// Figures of a run.
 #[derive(Clone, Debug, Serialize)]
@@ -86,10 +88,12 @@ pub struct FreeMetrics {
     pub rest_rmsd_rad: Option<f64>,
     /// The same over the range of the angle, per cent.
     pub rest_rmsd_percent: Option<f64>,
-    /// Greatest difference between the ways up and down, rad; in a sweep only.
+    /// Greatest difference between the ways up and down of a cycle, mean over the cycles, rad; in a sweep only.
     pub hysteresis_rad: Option<f64>,
     /// The same over the range of the angle, per cent.
     pub hysteresis_percent: Option<f64>,
+    /// Whether the figures of a sweep are of the pressure on its way, for want of holds: damping and delays are in them.
+    pub on_the_way: bool,
     /// Highest measured pressure, Pa.
     pub highest_pressure_pa: Option<f64>,
 }
@@ -177,9 +181,8 @@ impl FreeMetrics {
             Ok(model) => (rms(angle.iter().zip(&model[window.clone()]).map(|(y, m)| y - m)), None),
             Err(reason) => (None, Some(reason.clone())),
         };
-        let range = range(if angular { reference } else { angle });
-        let percent = |value: Option<f64>| Some(100.0 * value? / range.filter(|r| *r > 0.0)?);
-        let (rest, hysteresis_rad) = if sweep { at_rest(signals) } else { (None, None) };
+        let percent = |value: Option<f64>| Some(100.0 * value? / signals.range.filter(|r| *r > 0.0)?);
+        let loops = if sweep { Loops::of(signals) } else { Loops::default() };
         Self {
             free: signals.name.clone(),
             quantity: signals.quantity,
@@ -189,10 +192,11 @@ impl FreeMetrics {
             model_rmsd_rad,
             model_rmsd_percent: percent(model_rmsd_rad),
             model_refusal,
-            rest_rmsd_rad: rest.map(|r| r.0),
-            rest_rmsd_percent: rest.map(|r| 100.0 * r.0 / r.1),
-            hysteresis_rad,
-            hysteresis_percent: percent(hysteresis_rad),
+            rest_rmsd_rad: loops.rest.map(|r| r.0),
+            rest_rmsd_percent: loops.rest.map(|r| 100.0 * r.0 / r.1),
+            hysteresis_rad: loops.hysteresis,
+            hysteresis_percent: percent(loops.hysteresis),
+            on_the_way: loops.on_the_way,
             highest_pressure_pa: signals.highest_pressure,
         }
     }
@@ -249,110 +253,6 @@ fn one_move(t: &[f64], y: &[f64], (from, to): (f64, f64), hold_start: f64) -> Mo
         settling_s,
         steady_error_rad: sum / count,
     }
-}
-
-/// Greatest difference of `angle` between the ways up and down at one pressure, rad; `None` without both ways.
-pub fn hysteresis(pressure: &[f64], angle: &[f64]) -> Option<f64> {
-    const BINS: usize = 50;
-    let (up, down) = ways(pressure, angle);
-    let low = f64::max(*up[0].first()?, *down[0].first()?);
-    let high = f64::min(*up[0].last()?, *down[0].last()?);
-    if high <= low {
-        return None;
-    }
-    // Means over pieces of the range keep the noise of single readings out.
-    let mean = |way: &[Vec<f64>; 2], from: f64, to: f64| {
-        let inside = |p: f64| p >= from && p < to;
-        let (sum, n) =
-            way[0].iter().zip(&way[1]).filter(|(p, _)| inside(**p)).fold((0.0, 0), |(s, n), (_, y)| (s + y, n + 1));
-        (n > 0).then(|| sum / f64::from(n))
-    };
-    (0..BINS)
-        .filter_map(|i| {
-            let edge = |i: usize| low + (high - low) * i as f64 / BINS as f64;
-            let (from, to) = (edge(i), edge(i + 1));
-            Some((mean(&down, from, to)? - mean(&up, from, to)?).abs())
-        })
-        .reduce(f64::max)
-}
-
-/// Figures of a sweep: [`rest_deviation`] and the hysteresis. Where the pressure was held step by step they come from
-/// the end of each hold alone: on the way, damping and delays look like hysteresis.
-fn at_rest(signals: &Signals) -> (Option<(f64, f64)>, Option<f64>) {
-    let (pressure, angle) = holds(signals);
-    let (up, down) = ways(&pressure, &angle);
-    if up[0].len() >= FEWEST_HOLDS && down[0].len() >= FEWEST_HOLDS {
-        return (rest_deviation(signals, &pressure, &angle), gap(&up, &down));
-    }
-    let window = signals.window.clone();
-    let (pressure, angle) = (&signals.pressure[window.clone()], &signals.angle[window]);
-    (rest_deviation(signals, pressure, angle), hysteresis(pressure, angle))
-}
-
-/// Mean pressure and angle over the last fifth of every hold of the pressure's reference.
-fn holds(signals: &Signals) -> (Vec<f64>, Vec<f64>) {
-    let window = signals.window.clone();
-    let (t, reference) = (&signals.t[window.clone()], &signals.reference_pressure[window.clone()]);
-    let (pressure, angle) = (&signals.pressure[window.clone()], &signals.angle[window]);
-    let mut points = (Vec::new(), Vec::new());
-    let mut start = 0;
-    for end in 1..=reference.len() {
-        if end < reference.len() && reference[end] == reference[start] {
-            continue;
-        }
-        let (begun, ended) = (t[start], t[end - 1]);
-        if ended - begun >= SHORTEST_HOLD {
-            let settled = |i: &usize| t[*i] >= ended - 0.2 * (ended - begun);
-            let known = |i: &usize| pressure[*i].is_finite() && angle[*i].is_finite();
-            let (n, p, y) = (start..end)
-                .filter(settled)
-                .filter(known)
-                .fold((0.0, 0.0, 0.0), |(n, p, y), i| (n + 1.0, p + pressure[i], y + angle[i]));
-            if n > 0.0 {
-                points.0.push(p / n);
-                points.1.push(y / n);
-            }
-        }
-        start = end;
-    }
-    points
-}
-
-/// Greatest difference of the angle between two ways at the pressures of the second.
-fn gap(up: &[Vec<f64>; 2], down: &[Vec<f64>; 2]) -> Option<f64> {
-    let (low, high) = (*up[0].first()?, *up[0].last()?);
-    let common = down[0].iter().zip(&down[1]).filter(|(p, _)| (low..=high).contains(*p));
-    common.map(|(&p, y)| (y - interpolate(&up[0], &up[1], p)).abs()).reduce(f64::max)
-}
-
-/// RMS of angle - model at rest at these pressures, and the range of the angle there, rad: the figure of the
-/// paper's Fig. 7; `None` where the model says nothing.
-fn rest_deviation(signals: &Signals, pressure: &[f64], angle: &[f64]) -> Option<(f64, f64)> {
-    let highest = pressure.iter().copied().filter(|p| p.is_finite()).fold(0.0, f64::max);
-    let (at, model) = prediction::quasi_static(signals, highest);
-    let reached = *at.last()?;
-    let points = || pressure.iter().zip(angle).filter(|(p, _)| (0.0..=reached).contains(*p));
-    let deviation = rms(points().map(|(&p, &y)| y - interpolate(&at, &model, p)))?;
-    let range = range(&points().map(|(_, &y)| y).collect::<Vec<_>>()).filter(|r| *r > 0.0)?;
-    Some((deviation, range))
-}
-
-/// The ways up and down of a sweep, each as (pressure, angle) sorted by pressure; the highest pressure divides
-/// them.
-pub fn ways(pressure: &[f64], angle: &[f64]) -> ([Vec<f64>; 2], [Vec<f64>; 2]) {
-    let top = (0..pressure.len()).max_by(|&a, &b| pressure[a].total_cmp(&pressure[b])).unwrap_or(0);
-    let way = |from: usize, to: usize| {
-        let mut points: Vec<(f64, f64)> = pressure[from..to]
-            .iter()
-            .copied()
-            .zip(angle[from..to].iter().copied())
-            .filter(|(p, y)| p.is_finite() && y.is_finite())
-            .collect();
-        points.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (p, y) = points.into_iter().unzip();
-        [p, y]
-    };
-    (way(0, top.min(pressure.len())), way(top, pressure.len()))
 }
 
 /// Root of the mean square of the numbers in `values`; `None` where there are none.
@@ -425,17 +325,5 @@ mod tests {
         let t = times(1000);
         let reference: Vec<f64> = t.iter().map(|t| (3.0 * t).sin()).collect();
         assert!(moves(&t, &reference, &reference).is_empty());
-    }
-
-    #[test]
-    fn the_width_of_a_loop_is_found() {
-        let up: Vec<f64> = (0..=1000).map(|i| 1e-3 * f64::from(i)).collect();
-        let down: Vec<f64> = up.iter().rev().copied().collect();
-        // A lens: 0.2 wide in the middle.
-        let lens = |p: f64| 0.4 * p * (1.0 - p);
-        let angle: Vec<f64> = up.iter().map(|p| p - lens(*p)).chain(down.iter().map(|p| p + lens(*p))).collect();
-        let width = hysteresis(&[up, down].concat(), &angle).unwrap();
-        assert!((width - 0.2).abs() < 1e-3, "{width}");
-        assert_eq!(hysteresis(&[], &[]), None);
     }
 }

@@ -1,8 +1,8 @@
 //! What a run has recorded, as reports, metrics and comparisons want it: one walk through its samples, in bounded
 //! memory however long the run.
 //!
-//! Of a long run only every so many-th record is kept, for plots and for what is read off them. The errors and the
-//! highest pressure are those of every record.
+//! Of a long run only every so many-th record is kept, for plots and for what is read off them. The errors, the range
+//! that they are told in and the highest pressure are those of every record.
 
 use super::columns::column_name;
 use super::drive::Drive;
@@ -86,8 +86,8 @@ impl Recorded {
         let apart = first.t.get(1)? - first.t.first()?;
         let kept = (self.every > 1).then(|| {
             format!(
-                "A long run, {} records: plots and moves are of every {}th, {apart:.3} s apart; RMS, peak and final error \
-                 and the highest pressure are of all.",
+                "A long run, {} records: plots and moves are of every {}th, {apart:.3} s apart; RMS, peak and final error, \
+                 the range and the highest pressure are of all.",
                 self.records, self.every
             )
         });
@@ -176,30 +176,28 @@ impl Row {
 /// What is gathered of a FREE on the way.
 struct Gathered {
     signals: Signals,
-    /// Errors of the angle and of the true angle: up to the program's latest record, and since.
-    errors: [(Tally, Tally); 2],
+    /// Up to the program's latest record, and since.
+    seen: (Seen, Seen),
     measured: Drive,
     commanded: Drive,
 }
 
 impl Gathered {
     fn new(run: &Run, name: &str) -> Self {
-        let errors = Default::default();
-        Self { signals: Signals::named(run, name), errors, measured: Drive::default(), commanded: Drive::default() }
+        let seen = Default::default();
+        Self { signals: Signals::named(run, name), seen, measured: Drive::default(), commanded: Drive::default() }
     }
 
     /// What every record leaves behind; whether the program runs, and has begun with this one.
     fn see(&mut self, row: &Row, running: bool, first: bool) {
-        let [reference, _, _, _, truth, _, command, ..] = row.own;
-        for ((sure, since), y) in self.errors.iter_mut().zip([row.angle(), truth]) {
-            if first {
-                *since = Tally::default();
-            }
-            if running {
-                sure.append(since);
-            }
-            if running { sure } else { since }.add(row.t - row.zero, reference - y);
+        let (sure, since) = &mut self.seen;
+        if first {
+            *since = Seen::default();
         }
+        if running {
+            sure.append(since);
+        }
+        if running { sure } else { since }.add(row);
         let pressure = row.pressure();
         if pressure.is_finite() {
             let highest = &mut self.signals.highest_pressure;
@@ -207,7 +205,7 @@ impl Gathered {
         }
         self.measured.add(row.t - row.age(), pressure);
         if self.measured.is_empty() {
-            self.commanded.add(row.t, command);
+            self.commanded.add(row.t, row.own[6]);
         }
     }
 
@@ -236,14 +234,11 @@ impl Gathered {
     }
 
     fn end(self, walk: &Walk) -> Signals {
-        let Self { mut signals, errors, measured, commanded } = self;
-        let [error, true_error] = errors.map(|(mut sure, mut since)| {
-            if walk.program.is_none() {
-                sure.append(&mut since);
-            }
-            sure.metrics()
-        });
-        (signals.error, signals.true_error) = (error, true_error);
+        let Self { mut signals, seen: (mut seen, mut since), measured, commanded } = self;
+        if walk.program.is_none() {
+            seen.append(&mut since);
+        }
+        (signals.error, signals.true_error) = (seen.error.metrics(), seen.true_error.metrics());
         signals.measured = !measured.is_empty();
         signals.drive = if signals.measured { measured } else { commanded };
         signals.drive.end(walk.zero);
@@ -258,8 +253,49 @@ impl Gathered {
         } else {
             Quantity::None
         };
+        let range = if signals.quantity == Quantity::Angle { seen.reference } else { seen.angle };
+        signals.range = range.map(|(low, high)| high - low);
         signals
     }
+}
+
+/// What every record leaves behind of the angle.
+#[derive(Default)]
+struct Seen {
+    error: Tally,
+    true_error: Tally,
+    /// Least and greatest, rad.
+    reference: Option<(f64, f64)>,
+    angle: Option<(f64, f64)>,
+}
+
+impl Seen {
+    fn add(&mut self, row: &Row) {
+        let (t, reference, angle) = (row.t - row.zero, row.own[0], row.angle());
+        self.error.add(t, reference - angle);
+        self.true_error.add(t, reference - row.own[4]);
+        for (extremes, value) in [(&mut self.reference, reference), (&mut self.angle, angle)] {
+            if value.is_finite() {
+                widen(extremes, (value, value));
+            }
+        }
+    }
+
+    /// Adds all that `later` has seen, and empties it.
+    fn append(&mut self, later: &mut Seen) {
+        let Seen { mut error, mut true_error, reference, angle } = std::mem::take(later);
+        self.error.append(&mut error);
+        self.true_error.append(&mut true_error);
+        for (extremes, more) in [(&mut self.reference, reference), (&mut self.angle, angle)] {
+            if let Some(more) = more {
+                widen(extremes, more);
+            }
+        }
+    }
+}
+
+fn widen(extremes: &mut Option<(f64, f64)>, (low, high): (f64, f64)) {
+    *extremes = Some(extremes.map_or((low, high), |(least, most)| (least.min(low), most.max(high))));
 }
 
 #[cfg(test)]
@@ -272,7 +308,7 @@ mod tests {
     /// A run of 1000 records, 2 ms apart; the program runs from the 100th to the 899th. The reference is 1, the angle
     /// goes from 0 to 1 over the program and is no estimate at its 300th record; its true value is 0.5 but for one
     /// record.
-    fn recorded() -> (tempfile::TempDir, Run) {
+    fn recorded(asked: Quantity) -> (tempfile::TempDir, Run) {
         let runs = tempfile::tempdir().unwrap();
         let free = FreeDocument { name: "paper".into(), ..FreeDocument::default() };
         let start = StartDocument { frees: vec![free], ..StartDocument::default() };
@@ -285,7 +321,7 @@ mod tests {
             record.skipped = 7 + tick / 100;
             record.free_count = 1;
             let free = &mut record.frees[0];
-            free.reference.quantity = Quantity::Angle;
+            free.reference.quantity = asked;
             free.reference.position = 1.0;
             (free.estimate.angle, free.estimate.valid) = (now / 1.6, tick != 400);
             free.pressure.pressure = if tick == 501 { 2e4 } else { 1e4 };
@@ -300,7 +336,7 @@ mod tests {
 
     #[test]
     fn a_run_that_is_thinned_has_the_errors_and_the_highest_pressure_of_all_its_records() {
-        let (_runs, run) = recorded();
+        let (_runs, run) = recorded(Quantity::Angle);
         let whole = Recorded::of(&run, &mut |_| {}).unwrap();
         let mut shares = Vec::new();
         let thin = Recorded::of_at_most(&run, 100, &mut |share| shares.push(share)).unwrap();
@@ -332,6 +368,13 @@ mod tests {
         assert!((error.final_rad - 26.0 / n).abs() < 1e-12, "{error:?}");
         let remark = thin.remark().unwrap();
         assert!(whole.remark().is_none() && remark.contains("1000 records") && remark.contains("0.032 s"), "{remark}");
+        // The reference stands; of an angle that follows a pressure, the first and the last record of the program.
+        assert_eq!((all.range, few.range), (Some(0.0), Some(0.0)));
+        let (_runs, run) = recorded(Quantity::Pressure);
+        for most in [1000, 100] {
+            let range = Recorded::of_at_most(&run, most, &mut |_| {}).unwrap().frees[0].range.unwrap();
+            assert!((range - 799.0 / n).abs() < 1e-12, "{most}: {range}");
+        }
         // The model is driven by the readings, not by the records, in both.
         assert_eq!((all.drive.t.len(), all.drive.averaged, few.drive.t.len()), (250, 1, 250));
         assert!(all.measured && all.quantity == Quantity::Angle && few.quantity == Quantity::Angle);

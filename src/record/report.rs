@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::document::{RunKind, StartDocument, StopDocument};
 use super::html::{Page, degrees, escape, prose};
-use super::metrics::{ErrorMetrics, FreeMetrics, Metrics, TipMetrics};
+use super::metrics::{ErrorMetrics, FreeMetrics, Metrics, ON_THE_WAY, TipMetrics};
 use super::module::TipPath;
 use super::plot::Plot;
 use super::recorded::Recorded;
@@ -186,11 +186,12 @@ fn figures_table(page: &mut Page, metrics: &FreeMetrics, simulated: bool) {
     if let (Some(rad), Some(percent)) = (metrics.model_rmsd_rad, metrics.model_rmsd_percent) {
         page.card("RMSD to the model", &format!("{percent:.2} % <small>{}</small>", degrees(rad)));
     }
+    let moving = if metrics.on_the_way { format!(", {ON_THE_WAY}") } else { String::new() };
     if let (Some(rad), Some(percent)) = (metrics.rest_rmsd_rad, metrics.rest_rmsd_percent) {
-        page.card("RMSD to the model at rest", &format!("{percent:.2} % <small>{}</small>", degrees(rad)));
+        page.card("RMSD to the model at rest", &format!("{percent:.2} % <small>{}{moving}</small>", degrees(rad)));
     }
     if let (Some(rad), Some(percent)) = (metrics.hysteresis_rad, metrics.hysteresis_percent) {
-        page.card("hysteresis", &format!("{percent:.2} % <small>{}</small>", degrees(rad)));
+        page.card("hysteresis", &format!("{percent:.2} % <small>{}{moving}</small>", degrees(rad)));
     }
     if let Some(pressure) = metrics.highest_pressure_pa {
         page.card("highest pressure", &format!("{:.2} psi", pressure / PASCAL_PER_PSI));

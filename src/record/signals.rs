@@ -52,6 +52,8 @@ pub struct Signals {
     pub error: Option<ErrorMetrics>,
     /// The same of the true angle of the simulated rig.
     pub true_error: Option<ErrorMetrics>,
+    /// Range over every record while the program ran of the reference, where no angle was asked of the angle, rad.
+    pub range: Option<f64>,
     /// Highest measured pressure of every record, Pa.
     pub highest_pressure: Option<f64>,
     /// The records while the program ran; all of them where there was no program.

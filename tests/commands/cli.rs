@@ -102,6 +102,14 @@ fn a_sweep_finds_the_hysteresis() {
     };
     let (with, without) = (hysteresis("5"), hysteresis("0"));
     assert!(with > 3.0 * without, "{with} rad with, {without} rad without");
+    // Three holds on each way: one cycle or two, it is the same loop, but for the readings' noise.
+    fs::write(&rig, &text).unwrap();
+    let over = |pressures: &str| {
+        let sweep = json(&freerig(folder.path(), &["sweep", "--stepped", "--pressures", pressures, "--json"]));
+        sweep["runs"][0]["frees"][0]["hysteresis_rad"].as_f64().unwrap()
+    };
+    let (one, two) = (over("0psi,2psi,4psi"), over("0psi,2psi,4psi,2psi,0psi"));
+    assert!((two / one - 1.0).abs() < 0.1, "{one} rad of one cycle, {two} rad of two");
 }
 
 #[test]

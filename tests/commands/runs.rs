@@ -161,6 +161,7 @@ fn report_takes_an_id_its_beginning_a_folder_or_latest() {
     }
     let (_, text, _) = freerig(&["report", made.sweep.id()]);
     assert!(text.contains("hysteresis") && text.contains("RMSD to the model at rest"), "{text}");
+    assert!(!text.contains("on its way"), "its holds are enough: {text}");
 }
 
 #[test]

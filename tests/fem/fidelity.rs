@@ -1,7 +1,7 @@
 //! What the tiers of the ladder leave out, each against the one that has it, and whether `auto` says so.
 
 use freerig::fem::ends::Ends;
-use freerig::fem::fidelity::certified::{BUCKETS, Bucket, Row};
+use freerig::fem::fidelity::certified::{BUCKETS, Bucket, ESTIMATES, Factor, Row};
 use freerig::fem::fidelity::{Hold, Scene, choose, difference, suite};
 use freerig::fem::linear::LinearSection;
 use freerig::fem::measure;
@@ -62,6 +62,17 @@ fn the_certified_range_is_what_the_seeded_scenes_say() {
         }
         let (linear, ends) = errors(bucket as u64, false);
         assert!(linear <= row.linear.0 + 1e-5 && ends <= row.ends.0 + 1e-5, "{bucket}: {linear} {ends} {row:?}");
+    }
+}
+
+#[test]
+fn the_factors_of_the_estimates_are_those_of_the_scenes_that_they_name() {
+    for (index, name) in ESTIMATES.iter().enumerate() {
+        let stored = Factor::stored(index).unwrap_or_else(|| panic!("{name} has a factor"));
+        // With fewer the largest of all would be the bound.
+        assert!(stored.scenes >= 93, "{stored:?}");
+        let found = suite::ratios(&Scene::seeded(stored.seed).0).unwrap().unwrap()[index];
+        assert!((found / stored.factor - 1.0).abs() < 1e-5, "{name}: {found} for {stored:?}");
     }
 }
 

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use super::{Size, in_parallel, quantile, row};
 use crate::cli::Failure;
-use crate::fem::fidelity::certified::{BUCKETS, Row, table};
+use crate::fem::fidelity::certified::{BUCKETS, ESTIMATES, Factor, Row, table};
 use crate::fem::fidelity::{Fidelity, FidelityError, Scene, ask, choose, difference, suite};
 use crate::record::{BenchRow, BenchSuite, Curve};
 
@@ -38,7 +38,7 @@ struct Told {
     time: f64,
 }
 
-/// Judges the choice on `size.count` scenes, and makes the table of twice as many.
+/// Judges the choice on `size.count` scenes, and makes the table of three times as many others.
 pub(super) fn run(size: &Size) -> Result<BenchSuite, Failure> {
     let start = Instant::now();
     let count = size.count;
@@ -51,7 +51,7 @@ pub(super) fn run(size: &Size) -> Result<BenchSuite, Failure> {
     let folder = &size.rig.record.directory;
     std::fs::create_dir_all(folder)?;
     std::fs::write(folder.join("fidelity-scenes.csv"), list(&told))?;
-    let made = certify(PER_JUDGE * count)?;
+    let made = certify(count)?;
     let path = folder.join("certified.csv");
     std::fs::write(&path, made)?;
     facts.push(("table of the certified range".into(), path.display().to_string()));
@@ -172,8 +172,14 @@ fn draw(told: &[Told], curves: &mut Vec<Curve>) {
     }
 }
 
-/// The table of `count` scenes: the largest errors are found on a cheap mesh, and computed again on the truth's.
-fn certify(count: u64) -> Result<String, Failure> {
+/// The table: factors of `judges` scenes, errors of [`PER_JUDGE`] times as many. The largest errors are found on a cheap
+/// mesh, and computed again on the truth's.
+fn certify(judges: u64) -> Result<String, Failure> {
+    let ratios = in_parallel("its estimates", "scenes", judges, |seed| suite::ratios(&Scene::seeded(seed).0));
+    let ratios: Vec<Option<[f64; 2]>> = ratios.into_iter().collect::<Result<_, _>>()?;
+    let of = |index: usize| (0..).zip(&ratios).filter_map(move |(seed, known)| Some(((*known)?[index], seed)));
+    let factors: Vec<_> = (0..ESTIMATES.len()).map(|index| Factor::of(&of(index).collect::<Vec<_>>())).collect();
+    let count = PER_JUDGE * judges;
     let cheap = |seed| suite::errors(&Scene::seeded(seed).0, false);
     let found = in_parallel("certified range", "scenes", count, cheap).into_iter().collect::<Result<Vec<_>, _>>()?;
     let row = |bucket: usize| {
@@ -189,5 +195,9 @@ fn certify(count: u64) -> Result<String, Failure> {
     let rows: Vec<Option<Row>> = rows.into_iter().collect::<Result<_, _>>()?;
     let now = jiff::Zoned::now().date();
     let version = env!("CARGO_PKG_VERSION");
-    Ok(table(&format!("`freerig bench --fidelity`, version {version}, {now}: seeds 0 to {}", count - 1), &rows))
+    Ok(table(
+        &format!("`freerig bench --fidelity`, version {version}, {now}: seeds 0 to {}", count - 1),
+        &factors,
+        &rows,
+    ))
 }

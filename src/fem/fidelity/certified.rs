@@ -10,6 +10,10 @@
 //! law's error is stored as what it has more than the section, to which the section's is added. The lumped equations
 //! with inextensible fibres are not certified: with ke and kt from the material they are farther off than the linear
 //! law nearly everywhere.
+//!
+//! What is not certified is estimated: the ends by a coarse solid, the solid's mesh by others. An estimate aims at the
+//! error, a bound lies above it: the table has, too, the [`Factor`] between them, so large that with 95 % confidence at
+//! least 95 % of the seeded scenes have no larger error than it says.
 
 use std::f64::consts::PI;
 use std::fmt::Write as _;
@@ -28,13 +32,72 @@ const PRESSURES: [f64; 4] = [0.0, 0.1, 0.3, 0.6];
 /// Number of buckets.
 pub const BUCKETS: usize = 2 * (WINDINGS.len() - 1) * (PRESSURES.len() - 1);
 
+/// Share of the scenes that a factor may leave out, and the probability that it leaves out more.
+const LEFT_OUT: f64 = 0.05;
+const DOUBT: f64 = 0.05;
+/// What has a factor: the ends' part as a coarse solid sees it, and the solid's mesh.
+pub const ESTIMATES: [&str; 2] = ["ends", "solid"];
+/// Of [`ESTIMATES`].
+pub(super) const ENDS: usize = 0;
+pub(super) const SOLID: usize = 1;
+
+const FACTOR_NAMES: &str = "estimate,scenes,factor,factor_seed";
 const NAMES: &str =
     "hold,winding_from_deg,winding_to_deg,pressure_from,pressure_to,scenes,linear,linear_seed,ends,ends_seed";
 
-static STORED: LazyLock<Vec<Option<Row>>> = LazyLock::new(|| {
-    let lines = include_str!("certified.csv").lines().filter(|line| !line.starts_with('#'));
-    lines.skip(1).map(Row::parse).collect()
+/// The factors, and the buckets' rows; an empty line divides them.
+static STORED: LazyLock<(Vec<Option<Factor>>, Vec<Option<Row>>)> = LazyLock::new(|| {
+    let (factors, rows) = include_str!("certified.csv").split_once("\n\n").unwrap_or_default();
+    let lines = |part: &'static str| part.lines().filter(|line| !line.starts_with('#')).skip(1);
+    (lines(factors).map(Factor::parse).collect(), lines(rows).map(Row::parse).collect())
 });
+
+/// By what an estimate is multiplied to be a bound.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Factor {
+    /// Scenes that it is of.
+    pub scenes: usize,
+    /// The ratio of true to estimated error of one of them, which is above those of nearly all others.
+    pub factor: f64,
+    /// Its seed.
+    pub seed: u64,
+}
+
+impl Factor {
+    /// Of the ratios (true over estimated error, seed) of scenes: the largest but so few that with 95 % confidence at
+    /// least 95 % of all alike lie below it, whatever the ratios' distribution (Wilks 1941: the number of n scenes that
+    /// lie above the 95 % quantile is binomial). None of fewer than 59.
+    pub fn of(ratios: &[(f64, u64)]) -> Option<Factor> {
+        let mut sorted = ratios.to_vec();
+        sorted.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let n = ratios.len() as f64;
+        let mut exactly = (1.0 - LEFT_OUT).powf(n);
+        let (mut at_most, mut above) = (exactly, 0_usize);
+        while at_most <= DOUBT {
+            above += 1;
+            exactly *= (n - above as f64 + 1.0) / above as f64 * LEFT_OUT / (1.0 - LEFT_OUT);
+            at_most += exactly;
+        }
+        let (factor, seed) = *sorted.get(above.checked_sub(1)?)?;
+        Some(Factor { scenes: ratios.len(), factor, seed })
+    }
+
+    /// The stored one of [`ESTIMATES`]' `index`; none where its scenes were too few.
+    pub fn stored(index: usize) -> Option<Factor> {
+        *STORED.0.get(index)?
+    }
+
+    fn parse(line: &str) -> Option<Factor> {
+        let fields: Vec<&str> = line.split(',').collect();
+        let [scenes, factor, seed] = [1, 2, 3].map(|k| fields.get(k).copied());
+        Some(Factor { scenes: scenes?.parse().ok()?, factor: factor?.parse().ok()?, seed: seed?.parse().ok()? })
+    }
+}
+
+/// By what the estimate `index` of [`ESTIMATES`] is multiplied; without limit where no factor is known.
+pub(super) fn factor(index: usize) -> f64 {
+    Factor::stored(index).map_or(f64::INFINITY, |stored| stored.factor)
+}
 
 /// A part of the certified range.
 #[derive(Clone, Debug, PartialEq)]
@@ -86,7 +149,7 @@ impl Bucket {
 impl Row {
     /// The stored row of the bucket `index`; none where its scenes are too few, or one of them had no equilibrium.
     pub fn stored(index: usize) -> Option<&'static Row> {
-        STORED.get(index)?.as_ref()
+        STORED.1.get(index)?.as_ref()
     }
 
     /// The row of the errors (linear, ends, seed) of a bucket's scenes; none where one of them has none.
@@ -124,9 +187,17 @@ impl Row {
     }
 }
 
-/// The table of `rows`, one for each bucket, as it is stored; `origin` says in a line where it comes from.
-pub fn table(origin: &str, rows: &[Option<Row>]) -> String {
-    let mut text = format!("# {origin}\n{NAMES}\n");
+/// The table of `factors`, one for each of [`ESTIMATES`], and `rows`, one for each bucket, as it is stored; `origin` says
+/// in a line where it comes from.
+pub fn table(origin: &str, factors: &[Option<Factor>], rows: &[Option<Row>]) -> String {
+    let mut text = format!("# {origin}\n{FACTOR_NAMES}\n");
+    for (name, factor) in ESTIMATES.iter().zip(factors) {
+        let _ = match factor {
+            Some(Factor { scenes, factor, seed }) => writeln!(text, "{name},{scenes},{factor:.6},{seed}"),
+            None => writeln!(text, "{name},,,"),
+        };
+    }
+    let _ = writeln!(text, "\n{NAMES}");
     for (index, row) in rows.iter().enumerate() {
         let Bucket { hold, winding, pressure } = Bucket::of_seed(index as u64);
         let hold = if hold == Hold::Free { "free" } else { "blocked" };
@@ -164,4 +235,30 @@ pub(super) fn bounds(scene: &Scene) -> Option<Bounds> {
     let row = Row::stored(index).filter(|_| inside)?;
     let section = row.ends.0 * radius / scene.length;
     Some(Bounds { linear: row.linear.0.max(0.0) + section, section })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_factor_leaves_out_as_many_as_tables_of_tolerance_limits_say() {
+        // Of fewer than 59 not even the largest is one; the second largest from 93, the third from 124 on
+        // (one-sided distribution-free limits of 95 % at 95 % confidence).
+        let of = |n: u64| Factor::of(&(0..n).map(|k| (k as f64, k)).collect::<Vec<_>>());
+        assert_eq!(of(58), None);
+        for (n, above) in [(59, 1), (92, 1), (93, 2), (123, 2), (124, 3), (152, 3), (153, 4)] {
+            assert_eq!(of(n), Some(Factor { scenes: n as usize, factor: (n - above) as f64, seed: n - above }), "{n}");
+        }
+        assert_eq!(of(0), None);
+    }
+
+    #[test]
+    fn the_stored_table_is_read_as_it_is_written() {
+        let (factors, rows) = &*STORED;
+        assert_eq!((factors.len(), rows.len()), (ESTIMATES.len(), BUCKETS));
+        let stored = include_str!("certified.csv");
+        let origin = stored.lines().next().unwrap().trim_start_matches("# ");
+        assert_eq!(table(origin, factors, rows), stored);
+    }
 }

@@ -11,9 +11,9 @@
 //!
 //! Two errors are told apart. The **discretisation error** is what the mesh of the tier leaves: estimated from a
 //! second mesh, zero of a closed form. The **model error** is what the tier leaves out, estimated against the next one
-//! up that has it: linear and nonlinear against the section, the section against the solid. End effects go with one
-//! over the length: a FREE half as long has twice of them, so the difference between a coarse solid and one of half
-//! its length is the estimate, in which most of their mesh's error cancels.
+//! up that has it: linear and nonlinear against the section, the section against the solid: of a coarse one the ends are
+//! taken alone, in which most of its mesh's error cancels. Estimates are multiplied by the table's factors, which make
+//! bounds of them.
 //!
 //! How far the estimates are from the truth is measured on seeded scenes ([`suite`]), which also give the table by
 //! which cheap tiers are taken without asking a dearer one ([`certified`]).

@@ -41,7 +41,7 @@ pub fn rods_discretisation_error(scene: &ModuleScene, rest: &Vector3<f64>, law: 
 
 /// Estimated relative model error of the rods: the part of the ends, which a rod does not have, in what one of the
 /// FREEs does by itself, free, at `pressure` Pa, or at half of it where it has no equilibrium there by itself. None where
-/// it has neither, and for fibres without width.
+/// it has neither or the ends cannot be seen, and for fibres without width.
 ///
 /// # Errors
 /// As [`ask`].
@@ -63,7 +63,7 @@ pub fn rods_model_error(scene: &ModuleScene, pressure: f64) -> Result<Option<f64
         }
         let known = answer.points[0].rest.is_some();
         match model_error(&single, &answer)? {
-            Some(ends) if known => worst = f64::max(worst, ends),
+            Some(ends) if known && ends.is_finite() => worst = f64::max(worst, ends),
             _ => return Ok(None),
         }
     }

@@ -14,7 +14,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::certified::Bucket;
 use super::joined::{Joined, joined};
-use super::{Fidelity, FidelityError, Point, Scene, ask, difference};
+use super::{Answer, Fidelity, FidelityError, Point, Scene, ask, difference, tiers};
 use crate::fem::material::Law;
 use crate::fem::solid::{self, Solid, Tip};
 use crate::fem::tube::Tube;
@@ -107,6 +107,20 @@ pub fn errors(scene: &Scene, fine: bool) -> Result<Option<(f64, f64)>, FidelityE
     let ends = difference(&far, &whole, scene);
     let more = difference(&linear.points, &whole, scene) - ends;
     Ok(Some((more, ends * scene.length / scene.tube.outer_radius())))
+}
+
+/// True over estimated error of what the table has factors of ([`super::certified::ESTIMATES`]): of the section, what is
+/// beyond its mesh's, over the ends' part as it is seen; of the solid, over its mesh's. None as [`truth`].
+///
+/// # Errors
+/// As [`ask`].
+pub fn ratios(scene: &Scene) -> Result<Option<[f64; 2]>, FidelityError> {
+    let Some(truth) = truth(scene)? else { return Ok(None) };
+    let off = |answer: &Answer| difference(&answer.points, &truth, scene);
+    let section = ask(scene, Fidelity::Section, &mut |_| {})?;
+    let beyond = (off(&section) - section.discretisation_error).max(0.0);
+    let solid = tiers::solid(scene, &mut |_| {})?;
+    Ok(Some([beyond / tiers::ends_seen(scene, &section)?, off(&solid) / solid.discretisation_error]))
 }
 
 /// One element through the wall and under half of the strip, small ones at the ends: what the ends add does not need

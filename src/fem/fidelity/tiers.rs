@@ -1,5 +1,6 @@
 //! The tiers' answers to a scene.
 
+use super::certified::{ENDS, SOLID, factor};
 use super::joined::{Joined, joined};
 use super::{Answer, Fidelity, FidelityError, Limit, Point, Rest, Scene, difference};
 use crate::fem::ends::Equilibrium;
@@ -60,7 +61,10 @@ pub fn ask(scene: &Scene, fidelity: Fidelity, progress: &mut dyn FnMut(f64)) -> 
         Fidelity::Linear => linear(scene),
         Fidelity::Nonlinear => nonlinear(scene),
         Fidelity::Section => section(scene, SECTION_TOLERANCE),
-        Fidelity::Solid => solid(scene, progress),
+        Fidelity::Solid => {
+            let answer = solid(scene, progress)?;
+            Ok(Answer { discretisation_error: factor(SOLID) * answer.discretisation_error, ..answer })
+        }
     }
 }
 
@@ -81,20 +85,30 @@ pub fn model_error(scene: &Scene, answer: &Answer) -> Result<Option<f64>, Fideli
     }
 }
 
-/// Relative part of the ends in the scene's answer, where `section` has an equilibrium: at its lowest and at its
-/// highest pressure, and there no nearer to a limit than a coarse mesh can tell.
+/// Bound of the relative part of the ends in the scene's answer: [`ends_seen`] by the factor that makes it one.
 pub(super) fn end_effects(scene: &Scene, section: &Answer) -> Result<f64, FidelityError> {
+    Ok(factor(ENDS) * ends_seen(scene, section)?)
+}
+
+/// Relative part of the ends as a coarse solid has it, where `section` has an equilibrium: at its lowest and at its
+/// highest pressure, and there no nearer to a limit than a coarse mesh can tell. Infinite where it cannot be seen.
+pub(super) fn ends_seen(scene: &Scene, section: &Answer) -> Result<f64, FidelityError> {
     let most = section.limit.as_ref().map_or(f64::INFINITY, |limit| SAFE * limit.pressure.abs());
     let stable = section.points.iter().filter(|p| p.rest.is_some() && p.pressure != 0.0);
     let mut pressures: Vec<f64> = stable.map(|p| p.pressure.clamp(-most, most)).collect();
+    if pressures.is_empty() {
+        return Ok(0.0);
+    }
     pressures.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
     let pressures: Vec<f64> = pressures.first().into_iter().chain(pressures.last()).copied().collect();
-    let whole = Scene { pressures, ..scene.clone() };
-    let half = Scene { length: 0.5 * scene.length, ..whole.clone() };
-    let mesh = ends(&scene.tube);
-    let points = path(&whole, &mesh, &mut |_| {})?.points;
-    let shorter = path(&half, &mesh, &mut |_| {})?.points;
-    Ok(common_difference(&shorter, &points, &whole))
+    let scene = Scene { pressures, ..scene.clone() };
+    let (mut without, mut with) = (Vec::new(), Vec::new());
+    for (_, states) in path(&scene, &ends(&scene.tube), &mut |_| {})?.ways {
+        let Some(Joined { far, whole }) = joined(&scene, &states, &LEVELS)? else { return Ok(f64::INFINITY) };
+        without.extend(far);
+        with.extend(whole);
+    }
+    Ok(if with.is_empty() { f64::INFINITY } else { difference(&without, &with, &scene) })
 }
 
 /// [`difference`] over the pressures at which both have an equilibrium: a limit moves a little with mesh and length.
@@ -199,7 +213,7 @@ pub(super) fn section(scene: &Scene, tolerance: f64) -> Result<Answer, FidelityE
 
 /// The solid on its usual mesh, its discretisation error estimated against the coarse one, and, as the section knows
 /// better what is across the tube, against its own ends on the section: whichever is larger.
-fn solid(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Answer, FidelityError> {
+pub(super) fn solid(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Answer, FidelityError> {
     let Walked { points, limit, profile, ways } =
         path(scene, &solid::Mesh::sector(&scene.tube), &mut |share| progress(USUAL * share))?;
     let other = path(scene, &coarse(&scene.tube), &mut |share| progress(USUAL + (1.0 - USUAL) * share))?;
@@ -215,6 +229,7 @@ fn solid(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Answer, Fidelit
 }
 
 /// A mesh that only the ends are looked at with: a quarter of the elements each way, and still small ones at the ends.
+/// What its elements are off across the tube cancels ([`joined`]).
 fn ends(tube: &Tube) -> solid::Mesh {
     solid::Mesh {
         wall: 1,
