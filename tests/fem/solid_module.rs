@@ -256,9 +256,9 @@ fn refusals_name_the_rule() {
 
 #[test]
 fn ends_are_estimated_at_half_of_a_pressure_that_a_single_free_does_not_bear() {
-    // By itself a FREE of 30 deg runs away at 5.6 psi or so; the others of a module hold it.
+    // By itself a FREE of 30 deg runs away between 7 and 8 psi (reference/section.csv); the others of a module hold it.
     let scene = ModuleScene::reference(30f64.to_radians());
-    let [beyond, half] = [7.0, 3.5].map(|psi| rods_model_error(&scene, psi * PSI).unwrap());
+    let [beyond, half] = [9.0, 4.5].map(|psi| rods_model_error(&scene, psi * PSI).unwrap());
     assert!(half.is_some_and(|ends| ends > 0.005 && ends < 0.1), "{half:?}");
     assert_eq!(beyond, half);
     // Where it bears neither, nothing is told.
