@@ -45,11 +45,16 @@ const FACTOR_NAMES: &str = "estimate,scenes,factor,factor_seed";
 const NAMES: &str =
     "hold,winding_from_deg,winding_to_deg,pressure_from,pressure_to,scenes,linear,linear_seed,ends,ends_seed";
 
-/// The factors, and the buckets' rows; an empty line divides them.
-static STORED: LazyLock<(Vec<Option<Factor>>, Vec<Option<Row>>)> = LazyLock::new(|| {
+/// What is stored: the factors, an empty line, the buckets' rows.
+struct Stored {
+    factors: Vec<Option<Factor>>,
+    rows: Vec<Option<Row>>,
+}
+
+static STORED: LazyLock<Stored> = LazyLock::new(|| {
     let (factors, rows) = include_str!("certified.csv").split_once("\n\n").unwrap_or_default();
     let lines = |part: &'static str| part.lines().filter(|line| !line.starts_with('#')).skip(1);
-    (lines(factors).map(Factor::parse).collect(), lines(rows).map(Row::parse).collect())
+    Stored { factors: lines(factors).map(Factor::parse).collect(), rows: lines(rows).map(Row::parse).collect() }
 });
 
 /// By what an estimate is multiplied to be a bound.
@@ -84,7 +89,7 @@ impl Factor {
 
     /// The stored one of [`ESTIMATES`]' `index`; none where its scenes were too few.
     pub fn stored(index: usize) -> Option<Factor> {
-        *STORED.0.get(index)?
+        *STORED.factors.get(index)?
     }
 
     fn parse(line: &str) -> Option<Factor> {
@@ -149,7 +154,7 @@ impl Bucket {
 impl Row {
     /// The stored row of the bucket `index`; none where its scenes are too few, or one of them had no equilibrium.
     pub fn stored(index: usize) -> Option<&'static Row> {
-        STORED.1.get(index)?.as_ref()
+        STORED.rows.get(index)?.as_ref()
     }
 
     /// The row of the errors (linear, ends, seed) of a bucket's scenes; none where one of them has none.
