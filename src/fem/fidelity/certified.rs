@@ -260,7 +260,7 @@ mod tests {
 
     #[test]
     fn the_stored_table_is_read_as_it_is_written() {
-        let (factors, rows) = &*STORED;
+        let Stored { factors, rows } = &*STORED;
         assert_eq!((factors.len(), rows.len()), (ESTIMATES.len(), BUCKETS));
         let stored = include_str!("certified.csv");
         let origin = stored.lines().next().unwrap().trim_start_matches("# ");
