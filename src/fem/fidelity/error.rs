@@ -24,6 +24,9 @@ pub enum FidelityError {
     /// No pressures.
     #[error("pressure {0} Pa: must be finite")]
     Pressure(f64),
+    /// The solid of a single FREE ends before.
+    #[error("the solid of one of the FREEs, held from turning, has no equilibrium at {0} Pa: ask for a lower pressure")]
+    Single(f64),
     /// The lumped model.
     #[error(transparent)]
     Free(#[from] FreeError),

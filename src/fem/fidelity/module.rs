@@ -188,7 +188,7 @@ fn across(tube: &Tube, pressure: f64) -> Result<f64, FidelityError> {
 
 /// The dead length, m, of a FREE of `tube` and `length` m: with it a rod without ends, held from turning and free to
 /// stretch, is as long at `pressure` Pa as the solid of the single FREE. Negative where the ends give more than the
-/// middle.
+/// middle, infinite or no number where the section does not stretch.
 ///
 /// # Errors
 /// As [`ask`]; where solid or section has no equilibrium at `pressure`.
@@ -200,6 +200,6 @@ pub fn dead_length(tube: &Tube, length: f64, pressure: f64) -> Result<f64, Fidel
     let path = solid.follow(&Tip::straight(UNTWISTED), &[pressure], &mut |_| {})?;
     match (path.states.first(), path.end) {
         (Some(whole), PathEnd::Reached) => Ok(length * (1.0 - (whole.stretch - 1.0) / (found.stretch - 1.0))),
-        _ => Err(FidelityError::Pressure(pressure)),
+        _ => Err(FidelityError::Single(pressure)),
     }
 }

@@ -97,13 +97,13 @@ impl Module {
 
     /// The equilibrium under `loads`, followed from `start`, an equilibrium of this module.
     pub fn equilibrium_from(&self, start: &State, loads: &Loads) -> Result<State, ModuleError> {
-        Solver::new(self).follow(&start.loads, start.unknowns.clone(), loads)
+        Solver::new(self).follow_from(start, loads)
     }
 
     /// The same, with the stiffness and the clearance at the equilibrium itself and not, as far as stability allows, where
     /// the last correction began: for whoever takes differences of them. A linearisation more.
     pub fn equilibrium_closely_from(&self, start: &State, loads: &Loads) -> Result<State, ModuleError> {
-        Solver { thorough: true, ..Solver::new(self) }.follow(&start.loads, start.unknowns.clone(), loads)
+        Solver { thorough: true, ..Solver::new(self) }.follow_from(start, loads)
     }
 
     /// What the plate of `state`, an equilibrium of this module, would be pushed by, (moment, force) about its centre, if one
@@ -195,6 +195,35 @@ impl<'a> Solver<'a> {
         sum
     }
 
+    /// From the equilibrium `start` to that under `to`: along the tangent that it has kept, where that leads there, which
+    /// saves a linearisation.
+    fn follow_from(&mut self, start: &State, to: &Loads) -> Result<State, ModuleError> {
+        let fits = start.tangent.len() == self.module.mounts.len() && to.pressures.len() == start.tangent.len();
+        if fits && !self.held {
+            let mut at = start.unknowns.clone();
+            if let Some(first) = self.predict(&mut at, start, to) {
+                let mut iterations = 0;
+                if let Ok(found) = self.newton(at, to, CONVERGED, Some(first), &mut iterations) {
+                    let clearance = self.clearance(&found)?;
+                    return Ok(self.state(found, to.clone(), clearance, iterations));
+                }
+            }
+        }
+        self.follow(&start.loads, start.unknowns.clone(), to)
+    }
+
+    /// Newton's first correction from `start`, whose linearisation is known. None at a critical point.
+    fn predict(&mut self, at: &mut Unknowns, start: &State, to: &Loads) -> Option<(Step, Matrix6<f64>)> {
+        self.condensed.clone_from_slice(&start.tangent);
+        let away = about(&-at.plate.position());
+        let stiffness = away.tr_mul(&(start.stiffness * away));
+        let eta = stiffness.lu().solve(&self.by_load(at, &start.loads, to))?;
+        let dp: Vec<f64> = start.loads.pressures.iter().zip(&to.pressures).map(|(a, b)| b - a).collect();
+        let step = self.advance(at, &eta, Some(&dp), 0.0);
+        // A shorter one says nothing of the pace: what is left then is what the start has left.
+        (CONVERGED..LONGEST).contains(&step.measure()).then_some((step, stiffness))
+    }
+
     /// From the equilibrium `unknowns` under `from` to that under `to`.
     pub fn follow(&mut self, from: &Loads, unknowns: Unknowns, to: &Loads) -> Result<State, ModuleError> {
         let rods = self.module.mounts.len();
@@ -211,7 +240,7 @@ impl<'a> Solver<'a> {
             let next = f64::min(done + piece, 1.0);
             let loads = if next == 1.0 { to.clone() } else { from.towards(to, next) };
             let tolerance = if next == 1.0 { CONVERGED } else { NEARBY };
-            match self.newton(at.clone(), &loads, tolerance, &mut iterations) {
+            match self.newton(at.clone(), &loads, tolerance, None, &mut iterations) {
                 Ok(found) => {
                     let clearance = self.clearance(&found)?;
                     if next == 1.0 {
@@ -227,15 +256,16 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Newton's method from nearby unknowns; an error without a cause where it does not contract.
+    /// Newton's method from nearby unknowns, with the correction that has led there and the stiffness it was made with, if
+    /// one has; an error without a cause where it does not contract.
     fn newton(
         &mut self,
         mut at: Unknowns,
         loads: &Loads,
         tolerance: f64,
+        mut before: Option<(Step, Matrix6<f64>)>,
         iterations: &mut usize,
     ) -> Result<Unknowns, Option<ModuleError>> {
-        let mut before: Option<(Step, Matrix6<f64>)> = None;
         for _ in 0..ITERATIONS {
             *iterations += 1;
             let linear = self.linearise(&at, loads)?;
@@ -370,7 +400,19 @@ impl<'a> Solver<'a> {
             true => 0,
             false => negative_modes(&stiffness, self.module.length()),
         };
-        State { loads, unknowns, stiffness, by_pressure, unstable_rods, unstable_plate, energy, clearance, iterations }
+        let tangent = self.condensed.as_slice().into();
+        State {
+            loads,
+            unknowns,
+            stiffness,
+            by_pressure,
+            tangent,
+            unstable_rods,
+            unstable_plate,
+            energy,
+            clearance,
+            iterations,
+        }
     }
 }
 

@@ -1,9 +1,11 @@
 //! A module's converged equilibrium and what follows from it.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 
 use super::{Loads, Module, quaternion};
-use crate::fem::rod::{DualMatrix, DualVector};
+use crate::fem::rod::{Condensed, DualMatrix, DualVector};
 
 /// A force and a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,6 +32,8 @@ pub struct State {
     pub(super) stiffness: Matrix6<f64>,
     /// Change of the rods' summed wrench (moment, force) about the plate's centre by each pressure at a held plate.
     pub(super) by_pressure: Vec<Vector6<f64>>,
+    /// Every rod's eliminated equations: how it goes on from here.
+    pub(super) tangent: Arc<[Condensed]>,
     pub(super) unstable_rods: i32,
     pub(super) unstable_plate: i32,
     pub(super) energy: f64,
