@@ -181,7 +181,7 @@ fn values_are_held_to_their_type_and_range() {
     one_problem("baud_bd = 19200 ", "baud_bd = 19201 ", "serial.line.baud_bd", "must be one of", "front panel");
     one_problem("unit = \"A\" ", "unit = \"AB\" ", "free.paper.regulator.unit", "one letter", "front panel");
     one_problem("axis = [0, 0, 1]", "axis = [0, 0, 0.5]", "free.paper.imu.axis", "unit vector", "[0, 0, 1]");
-    one_problem("address = 0x28", "address = 0x60", "free.paper.imu.address", "40 to 41", "40 to 41");
+    one_problem("address = 0x28", "address = 0x60", "free.paper.imu.address", "0x28 to 0x29", "0x28 to 0x29");
     one_problem("page_port = 9090", "page_port = 9876", "record.page_port", "differ", "another port");
     let long = format!("path = \"/{}\"", "x".repeat(120));
     one_problem("path = \"runs/control.sock\"", &long, "socket.path", "at most 97 bytes", "shorter");

@@ -147,6 +147,7 @@ pub fn build(scene: &ModuleScene, highest: f64, context: &Context) -> Result<Bui
         law_errors.twist = law_errors.twist.max(found.twist);
         law_errors.mesh = law_errors.mesh.max(found.mesh);
         law_errors.bending = law_errors.bending.max(found.bending);
+        law_errors.mostly = law_errors.mostly.max(found.mostly);
         Ok(law)
     });
     Ok(Built { module: module.map_err(refused)?, law_errors })

@@ -241,7 +241,7 @@ fn check_name(section: &Section<'_>, name: &str, earlier: &[RawFree]) {
 
 pub(super) fn read_imu(mut section: Section<'_>, i2c: &[RawI2c], earlier: &[RawFree]) -> RawImu {
     let bus = read_bus(&mut section, "bus", i2c.iter().map(|bus| bus.name.as_str()), "i2c");
-    let address = section.integer("address", 0x28, 0x28..=0x29) as u8;
+    let address = section.address(0x28, 0x28..=0x29);
     let taken = earlier
         .iter()
         .find(|free| free.imu.as_ref().is_some_and(|imu| !bus.is_empty() && imu.bus == bus && imu.address == address));
@@ -358,7 +358,7 @@ fn read_sensor(
 
 fn read_adc(section: &mut Section<'_>, i2c: &[RawI2c], earlier: &[RawFree]) -> SensorConnection {
     let bus = read_bus(section, "bus", i2c.iter().map(|bus| bus.name.as_str()), "i2c");
-    let address = section.integer("address", 0x48, 0x48..=0x4B) as u8;
+    let address = section.address(0x48, 0x48..=0x4B);
     let channel = section.integer("channel", None, 0..=3) as usize;
     let zero = section.number("zero_v", 0.5, 0.0..=5.0);
     let full = section.number("full_v", 4.5, 0.0..=5.0);
@@ -381,7 +381,7 @@ fn read_adc(section: &mut Section<'_>, i2c: &[RawI2c], earlier: &[RawFree]) -> S
 
 fn read_dac(section: &mut Section<'_>, i2c: &[RawI2c], earlier: &[RawFree]) -> Connection {
     let bus = read_bus(section, "bus", i2c.iter().map(|bus| bus.name.as_str()), "i2c");
-    let address = section.integer("address", 0x60, 0x60..=0x67) as u8;
+    let address = section.address(0x60, 0x60..=0x67);
     let channel = section.choice("channel", None, &CHANNELS).unwrap_or(0);
     let taken = earlier.iter().find(|free| match &free.regulator.connection {
         Connection::Dac { bus: b, address: a, channel: c } => *b == bus && *a == address && *c == channel,

@@ -156,19 +156,26 @@ impl<'a> Section<'a> {
         range: RangeInclusive<i64>,
     ) -> i64 {
         let rule = format!("a whole number within {} to {}", range.start(), range.end());
+        self.whole(key, default.into(), range, &rule)
+    }
+
+    /// A chip's I2C address within `range`, which data sheets write as hexadecimals.
+    pub(super) fn address(&mut self, default: i64, range: RangeInclusive<i64>) -> u8 {
+        let rule = format!("an address from {:#04x} to {:#04x}", range.start(), range.end());
+        self.whole("address", Some(default), range, &rule) as u8
+    }
+
+    fn whole(&mut self, key: &'static str, default: Option<i64>, range: RangeInclusive<i64>, rule: &str) -> i64 {
         match self.get(key).map(|value| integer(value.get_ref())) {
             Some(Some(value)) if range.contains(&value) => value,
             Some(_) => {
                 self.reject(key, format!("must be {rule}"), format!("write {rule}"));
                 *range.start()
             }
-            None => match default.into() {
-                Some(default) => default,
-                None => {
-                    self.require(key, &rule);
-                    *range.start()
-                }
-            },
+            None => default.unwrap_or_else(|| {
+                self.require(key, rule);
+                *range.start()
+            }),
         }
     }
 

@@ -2,10 +2,13 @@
 
 use freerig::fem::ends::Ends;
 use freerig::fem::fidelity::certified::{BUCKETS, Bucket, ESTIMATES, Factor, Row};
-use freerig::fem::fidelity::{Hold, Scene, choose, difference, suite};
+use freerig::fem::fidelity::{Hold, Scene, choose, difference, rods_discretisation_error, suite};
 use freerig::fem::linear::LinearSection;
 use freerig::fem::measure;
+use freerig::fem::module::{ModuleScene, answer};
+use freerig::fem::rod::Resolution;
 use freerig::fem::section::{Mesh, Section};
+use freerig::fem::section_law::{Errors, SectionLaw};
 use freerig::fem::tube::Tube;
 use freerig::units::PASCAL_PER_PSI as PSI;
 
@@ -46,7 +49,7 @@ fn smeared_fibres_turn_too_far_by_what_physics_says_of_them() {
 fn the_certified_range_is_what_the_seeded_scenes_say() {
     // Buckets of the stored table: its largest errors are those of the scenes that it names, on the cheap mesh or on
     // the fine one, to its last digit; another scene of the bucket has no larger ones.
-    for bucket in [12, 27] {
+    for bucket in [3, 12, 15, 27] {
         let row = Row::stored(bucket).unwrap_or_else(|| panic!("{:?} is certified", Bucket::of_seed(bucket as u64)));
         assert!(row.scenes >= 19, "{row:?}");
         let errors = |seed: u64, fine: bool| suite::errors(&Scene::seeded(seed).0, fine).unwrap().unwrap();
@@ -74,6 +77,23 @@ fn the_factors_of_the_estimates_are_those_of_the_scenes_that_they_name() {
         let found = suite::ratios(&Scene::seeded(stored.seed).0).unwrap().unwrap()[index];
         assert!((found / stored.factor - 1.0).abs() < 1e-5, "{name}: {found} for {stored:?}");
     }
+}
+
+#[test]
+fn the_rods_estimate_has_what_a_wrong_bending_stiffness_does() {
+    let scene = ModuleScene::reference(60f64.to_radians());
+    let module = scene.module(Mesh::level(1), 7.0 * PSI, Resolution::DEFAULT, SectionLaw::build).unwrap();
+    let row = [3.5 * PSI, 0.0, 0.0, 0.0];
+    let answers = answer(&scene, &module, &[row]);
+    let estimate =
+        |mostly: f64| rods_discretisation_error(&scene, &module, &Errors { mostly, ..Errors::default() }, &answers);
+    let place = |module: freerig::fem::module::Module| module.equilibrium(&scene.loads(row)).unwrap().position();
+    let travel = (place(module.clone()) - module.rest()).norm();
+    let off = (place(module.with_bending(1.1)) - place(module.clone())).norm() / travel;
+    // The estimate is of place and turn together.
+    let told = estimate(0.1) - estimate(0.0);
+    assert!(off > 1e-3 && (0.5 * off..2.0 * off).contains(&told), "{told} for {off}");
+    assert!(estimate(f64::INFINITY) == f64::INFINITY);
 }
 
 #[test]

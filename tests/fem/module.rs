@@ -51,6 +51,27 @@ fn shift(module: &Module, state: &State) -> Vector3<f64> {
 }
 
 #[test]
+fn a_warm_start_goes_along_the_tangent_of_the_state_before() {
+    for number in [3, 4] {
+        let module = module(60.0, 5.56e-3, 2e-3);
+        let loads = |share: f64| {
+            let Loads { pressures, .. } = case(number, 3.5 * share);
+            Loads { force: Vector3::new(0.0, 1e-3, -2e-3) * share, ..Loads::pressures(pressures) }
+        };
+        let before = module.equilibrium(&loads(0.98)).unwrap();
+        let (warm, cold) = (module.equilibrium_from(&before, &loads(1.0)), module.equilibrium(&loads(1.0)));
+        let (warm, cold) = (warm.unwrap(), cold.unwrap());
+        // What two corrections may leave, of which the tangent is the first.
+        assert!((warm.position() - cold.position()).norm() < 2e-8 * LENGTH, "{number}");
+        assert!(warm.iterations() <= 2 && warm.iterations() < cold.iterations(), "{number}: {}", warm.iterations());
+        assert!(warm.stable() && (warm.stiffness() - cold.stiffness()).norm() < 1e-3 * cold.stiffness().norm());
+        // Nothing changes: no way to go.
+        let again = module.equilibrium_from(&cold, &loads(1.0)).unwrap();
+        assert!(again.iterations() == 1 && (again.position() - cold.position()).norm() < 1e-9 * LENGTH);
+    }
+}
+
+#[test]
 fn a_tabulated_law_moves_the_module_as_the_law_itself_does() {
     let exact = module(60.0, 5.56e-3, 0.0);
     let closed = exact.mounts()[0].rod.law.clone();

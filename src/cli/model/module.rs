@@ -253,7 +253,9 @@ fn text(rows: &[Row], scene: &ModuleScene, found: &Found) -> String {
         scene.frees.map(|free| if free.tube.gamma > 0.0 { "R" } else { "L" }).concat(),
         1e3 * scene.plate_mass,
     );
-    text += &format!("\ndiscretisation error, estimated: {}", percent(found.discretisation));
+    if rows.iter().any(|row| row.converged) {
+        text += &format!("\ndiscretisation error, estimated: {}", percent(found.discretisation));
+    }
     for note in &found.notes {
         text += &format!("\n{note}");
     }

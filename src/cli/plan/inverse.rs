@@ -159,7 +159,7 @@ impl Report {
                 stop.reason
             );
         }
-        let error = self.discretisation_error_m.map_or("not to be told".into(), |e| format!("{:.4} mm", 1e3 * e));
+        let error = self.discretisation_error_m.map_or("unknown".into(), |e| format!("{:.4} mm", 1e3 * e));
         text += &format!("\nprediction's error by the rods' resolution, estimated: {error}");
         text += &format!("\n{} equilibria in {:.2} s", self.equilibria, self.wall_time_s);
         text

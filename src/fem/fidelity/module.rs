@@ -7,10 +7,11 @@
 use std::f64::consts::FRAC_1_SQRT_2;
 
 use nalgebra::Vector3;
+use rayon::prelude::*;
 
 use super::{Fidelity, FidelityError, Hold, Scene, ask, model_error};
 use crate::fem::ends::{End, Ends};
-use crate::fem::module::{Answer, Free, Kind, Limit, ModuleError, ModuleScene, Pose, Reason};
+use crate::fem::module::{Answer, Free, Kind, Limit, Module, ModuleError, ModuleScene, Pose, Reason};
 use crate::fem::section::{Mesh, Section};
 use crate::fem::section_law::Errors;
 use crate::fem::solid::{self, ModuleEnd, ModulePath, PathEnd, PlateEquilibrium, Solid, SolidModule, Tip};
@@ -21,11 +22,12 @@ const UNTWISTED: Ends = Ends { axial: End::Loaded(0.0), torsion: End::Held(0.0) 
 /// Share of a solid module's time that its usual mesh takes; the rest is the coarser one's.
 const USUAL: f64 = 0.7;
 
-/// Estimated relative discretisation error of the rods' `answers`, whose module's laws have the errors `law`: rods'
-/// resolution, section's mesh and the law's interpolation (a stretch that is wrong on one side of the plate tilts it),
-/// one on top of the other. Zero where nothing moves.
-pub fn rods_discretisation_error(scene: &ModuleScene, rest: &Vector3<f64>, law: &Errors, answers: &[Answer]) -> f64 {
-    let radius = FRAC_1_SQRT_2 * scene.spacing;
+/// Estimated relative discretisation error of the `answers` of `module`, the rods of `scene`, whose laws have the errors
+/// `law`: rods' resolution, section's mesh and the law's interpolation (a stretch that is wrong on one side of the plate
+/// tilts it, and so does a bending stiffness that is wrong in all rods), one on top of the other. Zero where nothing
+/// moves.
+pub fn rods_discretisation_error(scene: &ModuleScene, module: &Module, law: &Errors, answers: &[Answer]) -> f64 {
+    let (rest, radius) = (module.rest(), FRAC_1_SQRT_2 * scene.spacing);
     let poses = || answers.iter().filter_map(|answer| answer.pose.as_ref());
     let moved = poses().map(|pose| (pose.position - rest).norm().hypot(radius * pose.rotation.angle()));
     let scale = moved.fold(0.0, f64::max);
@@ -36,7 +38,26 @@ pub fn rods_discretisation_error(scene: &ModuleScene, rest: &Vector3<f64>, law: 
     let length = scene.frees.iter().map(|free| free.length).fold(0.0, f64::max);
     let stretch = law.stretch * (length + 0.5 * length * length / scene.spacing);
     let twist = law.twist * length * radius;
-    (rods + stretch + twist) / scale + law.mesh
+    let bending = moved_by_bending(scene, module, law.mostly, answers);
+    (rods + stretch + twist + bending) / scale + law.mesh
+}
+
+/// How far rods whose bending stiffness is off by `error` put the plate from the `answers`, m. Infinite where they cannot
+/// follow.
+fn moved_by_bending(scene: &ModuleScene, module: &Module, error: f64, answers: &[Answer]) -> f64 {
+    if !error.is_finite() {
+        return f64::INFINITY;
+    }
+    let (other, radius) = (module.with_bending(1.0 + error), FRAC_1_SQRT_2 * scene.spacing);
+    let moved = |answer: &Answer| -> Result<f64, ModuleError> {
+        let loads = scene.loads(answer.pressures);
+        let state = module.equilibrium(&loads)?;
+        let moved = other.equilibrium_from(&state, &loads)?;
+        let turned = radius * state.rotation().angle_to(&moved.rotation());
+        Ok((state.position() - moved.position()).norm().hypot(turned))
+    };
+    let answered = answers.par_iter().filter(|answer| answer.pose.is_some());
+    answered.map(|answer| moved(answer).unwrap_or(f64::INFINITY)).reduce(|| 0.0, f64::max)
 }
 
 /// Estimated relative model error of the rods: the part of the ends, which a rod does not have, in what one of the

@@ -223,6 +223,15 @@ impl Module {
         Ok(Module::new(self.mounts.clone(), self.plate_mass, resolution)?.with_plate_at(self.rest.z))
     }
 
+    /// The same with rods whose bending stiffness is `factor` times theirs.
+    pub fn with_bending(&self, factor: f64) -> Module {
+        let mut other = self.clone();
+        for Mount { rod, .. } in &mut other.mounts {
+            rod.law.bending = rod.law.bending.scaled(factor);
+        }
+        other
+    }
+
     /// What the plate's pose does to rod `index`'s tip: the tip's target pose.
     fn target(&self, plate: &DualMatrix, index: usize) -> DualMatrix {
         *plate * self.offset(index)

@@ -132,6 +132,12 @@ impl Profile {
         Profile { middle, half, skew, coefficients: [[0.0; POWERS]; PAIRS.len()] }
     }
 
+    /// The same times `factor`.
+    pub fn scaled(mut self, factor: f64) -> Profile {
+        self.coefficients.iter_mut().flatten().for_each(|c| *c *= factor);
+        self
+    }
+
     /// The coordinates of (stretch, twist, pressure).
     fn place(&self, [stretch, twist, pressure]: &[f64; 3]) -> [f64; 3] {
         let along = [stretch - self.skew[0] * twist - self.skew[1] * pressure, *twist, *pressure];

@@ -20,7 +20,7 @@ use crate::fem::rod::{Axis, Grid, Profile, Table};
 use crate::fem::section::Mesh;
 
 /// To be counted up whenever the same request leads to another law or other bytes.
-const VERSION: u64 = 3;
+const VERSION: u64 = 4;
 const NAME: &[u8; 16] = b"freerig law\0\0\0\0\0";
 /// A SHA-256.
 const HASH: usize = 32;
@@ -132,8 +132,8 @@ impl SectionLaw {
             all.numbers(state.into_iter().flatten());
         }
         all.numbers(self.lateral.iter().flat_map(Profile::numbers));
-        let Errors { stretch, twist, states, mesh, bending } = self.errors;
-        all.numbers([stretch, twist, mesh, bending]);
+        let Errors { stretch, twist, states, mesh, bending, mostly } = self.errors;
+        all.numbers([stretch, twist, mesh, bending, mostly]);
         all.integer(states as u64);
         let hash = Sha256::digest(&all.0);
         all.0.extend(hash);
@@ -170,12 +170,12 @@ impl SectionLaw {
         let table = Table::from_known(grid, states.into_iter()).map_err(SectionLawError::from)?;
         let mut profile = || Ok::<_, BytesError>(Profile::of_numbers(&from.numbers()?));
         let lateral = [profile()?, profile()?, profile()?];
-        let [stretch, twist, mesh, bending] = from.numbers()?;
+        let [stretch, twist, mesh, bending, mostly] = from.numbers()?;
         let states = usize::try_from(from.integer()?).map_err(|_| BytesError::Damaged)?;
         if !from.0.is_empty() {
             return Err(BytesError::Damaged);
         }
-        let errors = Errors { stretch, twist, states, mesh, bending };
+        let errors = Errors { stretch, twist, states, mesh, bending, mostly };
         Ok(SectionLaw { request, table: Arc::new(table), lateral, errors })
     }
 }

@@ -1,12 +1,14 @@
 //! The section's states at a grid's points, row by row.
 
+use super::BESIDE;
 use crate::fem::ends::{End, Ends, Equilibrium};
 use crate::fem::rod::{Grid, Jet};
 use crate::fem::section::{Section, SectionError, State};
 
 /// One in so many of the cells about the free states is looked into.
 const EVERY: usize = 4;
-/// Twists (of nine) and pressures (of nine) at which the tube is bent, at the three stretches about the free state.
+/// Twists (of nine) and pressures (of nine) at which the tube is bent, at the three stretches about the free state that
+/// are as far apart as the points of a grid that was not refined.
 const BENT: [[usize; 5]; 2] = [[1, 2, 4, 6, 7], [0, 2, 4, 6, 8]];
 
 /// A state between the grid's points, to hold the interpolant against.
@@ -74,6 +76,7 @@ impl Row {
         stretch: f64,
     ) -> Result<(), SectionError> {
         let points = grid.stretch.points;
+        let stride = (points - 1) / (2 * BESIDE);
         let at = |i: usize| grid.at([i, twist, pressure]);
         let nearest = (0..points).min_by(|a, b| (at(*a)[0] - stretch).abs().total_cmp(&(at(*b)[0] - stretch).abs()));
         let nearest = nearest.unwrap_or(0);
@@ -91,7 +94,7 @@ impl Row {
             if !self.accept(section, grid, [i, twist, pressure], &mut state)? {
                 break;
             }
-            if bent && i == nearest + 1 {
+            if bent && i == nearest + stride {
                 self.bend(section, at(i), &state)?;
             }
         }
@@ -99,7 +102,7 @@ impl Row {
             if !self.accept(section, grid, [i, twist, pressure], &mut middle)? {
                 break;
             }
-            if bent && i + 1 == nearest {
+            if bent && i + stride == nearest {
                 self.bend(section, at(i), &middle)?;
             }
         }
