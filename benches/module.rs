@@ -1,9 +1,9 @@
 //! The reference module's speed against its error, with the law of the section.
 //!
 //! A benchmark's name says the resolution (degree, steps) and the distance of the plate from where a far finer one puts
-//! it, over its travel. `cold` is from rest, `warm` from the equilibrium at pressures 2 % away; both end with stability,
-//! clearance and the sensitivities to each pressure. `workspace` is 15 actuation paths in 50 steps up to 7 psi, those
-//! that end earlier cut there; `law` the table of one FREE and one look into it.
+//! it, over its travel. `cold` is from rest, `warm` from the equilibrium at pressures 2 % away; both end with
+//! stability, clearance and the sensitivities to each pressure. `workspace` is 15 actuation paths in 50 steps up to 7
+//! psi, those that end earlier cut there; `law` the table of one FREE and one look into it.
 
 use std::hint::black_box;
 

@@ -199,8 +199,8 @@ pub fn against_paper(thirty: (&Rest<'_>, &[CasePath]), sixty: (&Rest<'_>, &[Case
     ]
 }
 
-/// What the module reaches within `limits`, whose slew rate does not count; the plates of `paths`, up to their ends, are among
-/// those found.
+/// What the module reaches within `limits`, whose slew rate does not count; the plates of `paths`, up to their ends,
+/// are among those found.
 ///
 /// # Errors
 /// Limits that are none, the lowest pressures out of reach.

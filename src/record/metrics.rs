@@ -92,7 +92,8 @@ pub struct FreeMetrics {
     pub hysteresis_rad: Option<f64>,
     /// The same over the range of the angle, per cent.
     pub hysteresis_percent: Option<f64>,
-    /// Whether the figures of a sweep are of the pressure on its way, for want of holds: damping and delays are in them.
+    /// Whether the figures of a sweep are of the pressure on its way, for want of holds: damping and delays are in
+    /// them.
     pub on_the_way: bool,
     /// Highest measured pressure, Pa.
     pub highest_pressure_pa: Option<f64>,

@@ -3,8 +3,8 @@
 //!
 //! The ways are told by the reference, which has no noise: a [`Way`] leads from one end of its range to the other, and
 //! two ways one after the other are a cycle. What turns on the way, as the inner loops of a calibration, belongs to
-//! none. The hysteresis of a cycle is the greatest difference between its ways at one pressure, that of a sweep the mean
-//! over its cycles: it does not grow with their number, as the largest of noisy ones does.
+//! none. The hysteresis of a cycle is the greatest difference between its ways at one pressure, that of a sweep the
+//! mean over its cycles: it does not grow with their number, as the largest of noisy ones does.
 
 use std::ops::Range;
 
@@ -267,7 +267,8 @@ mod tests {
     #[test]
     fn a_ramp_is_judged_on_its_way_and_that_is_said() {
         // A lens, 0.2 wide in the middle, over 1000 records a way, 20 in a piece of the range: whether the record on a
-        // piece's edge belongs to it moves the mean of a way by a fortieth of the piece, times the slope of 1.4 at most.
+        // piece's edge belongs to it moves the mean of a way by a fortieth of the piece, times the slope of 1.4 at
+        // most.
         let lens = |p: f64| 0.4 * p * (1.0 - p);
         let ramp = Loops::of(&swept(&[0.0, 1.0, 0.0, 1.0, 0.0], 999, lens, 0.0));
         assert!(ramp.on_the_way && (ramp.hysteresis.unwrap() - 0.2).abs() < 1.4e-3, "{ramp:?}");

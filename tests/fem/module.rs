@@ -1,7 +1,7 @@
 //! Modules of four FREEs: the reference module, the published cases, buckling, contact, hard cases.
 //!
-//! With the closed-form section law, which is that of small pressure, where a test has its own closed form; with the law
-//! tabulated from the section elsewhere.
+//! With the closed-form section law, which is that of small pressure, where a test has its own closed form; with the
+//! law tabulated from the section elsewhere.
 
 use std::f64::consts::PI;
 use std::sync::Arc;

@@ -113,8 +113,8 @@ fn case_1_at_60_degrees_buckles_in_two_modes_where_the_held_sections_torque_says
     let critical = Path::new(&module, &rest(&module), &to, 0.05).unwrap().next_critical((-0.01, 0.9)).unwrap().unwrap();
     assert_eq!((critical.kind, critical.gained, critical.modes.len()), (Kind::Bifurcation, 2, 2));
     let found = 10.0 * critical.mu;
-    // From the section alone: where the torque of the tube held from turning reaches 2 pi EI / L, with EI of that state. It
-    // is a seventh lower than that of the free state, with which the same equation says 7.9 psi.
+    // From the section alone: where the torque of the tube held from turning reaches 2 pi EI / L, with EI of that
+    // state. It is a seventh lower than that of the free state, with which the same equation says 7.9 psi.
     let section = Section::new(&scene(60.0).frees[0].tube, Mesh::level(1)).unwrap();
     let mut state = section.rest().unwrap();
     let mut share = |psi: f64| {
@@ -127,11 +127,11 @@ fn case_1_at_60_degrees_buckles_in_two_modes_where_the_held_sections_torque_says
         let middle = 0.5 * (low + high);
         if share(middle) < 1.0 { low = middle } else { high = middle }
     }
-    // Shear adds a little: a per cent of a pressure at which the torque grows as fast as the pressure itself. The law's own EI
-    // is within 1.5 % of the section's.
+    // Shear adds a little: a per cent of a pressure at which the torque grows as fast as the pressure itself. The law's
+    // own EI is within 1.5 % of the section's.
     assert!((found / low - 1.0).abs() < 0.025, "{found} {low}");
-    // An imperfect module, here one that is pushed sideways with 0.1 mN, moves without such a point, as the perfect one's
-    // compliance says, which grows without bound: its inverse falls to nothing at the same pressure.
+    // An imperfect module, here one that is pushed sideways with 0.1 mN, moves without such a point, as the perfect
+    // one's compliance says, which grows without bound: its inverse falls to nothing at the same pressure.
     let compliance = |psi: f64| {
         let perfect = module.equilibrium(&Loads::pressures([psi * PSI; 4])).unwrap();
         let mut pushed = perfect.loads().clone();
@@ -144,7 +144,8 @@ fn case_1_at_60_degrees_buckles_in_two_modes_where_the_held_sections_torque_says
         compliance
     };
     let [far, early, late] = [4.0, found - 0.2, found - 0.1].map(compliance);
-    // Twice as near, twice as soft, but for what does not soften: the columns' axial stiffness, against which the plate tilts.
+    // Twice as near, twice as soft, but for what does not soften: the columns' axial stiffness, against which the plate
+    // tilts.
     assert!(late > 10.0 * far && (late / early / 2.0 - 1.0).abs() < 0.1, "{far} {early} {late}");
 }
 
@@ -283,16 +284,17 @@ fn hard_payload_hanging_upside_down_and_at_the_buckling_load() {
         module.equilibrium(&loads).unwrap()
     };
     let (none, hanging, standing) = (with(0.0), with(9.81), with(-9.81));
-    // 1 g: to first order what the compliance says, both ways; of the four columns' buckling load it is half a per cent.
+    // 1 g: to first order what the compliance says, both ways; of the four columns' buckling load it is half a per
+    // cent.
     let compliance = none.compliance().unwrap();
     let expected = compliance.column(5).fixed_rows::<3>(3) * (0.001 * 9.81);
     for (state, sign) in [(&hanging, 1.0), (&standing, -1.0)] {
         let moved = (state.position() - none.position()) * sign;
         assert!((moved - expected).norm() < 0.02 * expected.norm(), "{moved} {expected}");
     }
-    // Pressed down by a dead load at zero pressure, four columns between a clamp and a plate that goes sideways buckle in
-    // two modes. The plate tilts, too, against the columns' axial stiffness k = K11 (a / 2)^2 / L each:
-    // tan(x) / x = -EI / (k L) with x^2 EI / L^2 the load of one.
+    // Pressed down by a dead load at zero pressure, four columns between a clamp and a plate that goes sideways buckle
+    // in two modes. The plate tilts, too, against the columns' axial stiffness k = K11 (a / 2)^2 / L each: tan(x) / x =
+    // -EI / (k L) with x^2 EI / L^2 the load of one.
     let to = Loads { force: Vector3::new(0.0, 0.0, -6.0), ..Loads::pressures([0.0; 4]) };
     let fine = module.with_resolution(FINE).unwrap();
     let critical = Path::new(&fine, &rest(&fine), &to, 0.02).unwrap().next_critical((-0.01, 1.0)).unwrap().unwrap();
@@ -311,7 +313,8 @@ fn hard_payload_hanging_upside_down_and_at_the_buckling_load() {
         let x = 0.5 * (low + high);
         if x.tan() / x < -tilt { low = x } else { high = x }
     }
-    // Shear softens by the load over GA, and EI is that of the columns compressed; their shortening, below 1 %, is left.
+    // Shear softens by the load over GA, and EI is that of the columns compressed; their shortening, below 1 %, is
+    // left.
     let mut one = low * low * ei / (LENGTH * LENGTH);
     one *= law(60.0).law(1.0).bending.at([1.0 - one / k11, 0.0, 0.0]) / ei;
     let expected = 4.0 * one / (1.0 + one / shear);

@@ -18,8 +18,8 @@ const SUITE: &str = "fidelity";
 const TIERS: [Fidelity; 4] = [Fidelity::Linear, Fidelity::Nonlinear, Fidelity::Section, Fidelity::Solid];
 /// First seed of the scenes that judge; those of the table begin at 0.
 const JUDGES: u64 = 1_000_000;
-/// Scenes of the table for each one that judges: of 300 they are thirty in a bucket, and the next one of it has a larger
-/// error than all of them with a probability of 3 %.
+/// Scenes of the table for each one that judges: of 300 they are thirty in a bucket, and the next one of it has a
+/// larger error than all of them with a probability of 3 %.
 const PER_JUDGE: u64 = 3;
 /// Share of the scenes whose error may be above the estimate.
 const MISSES: f64 = 0.05;
@@ -114,12 +114,14 @@ fn list(told: &[Told]) -> String {
 fn judge(told: &[Told], rows: &mut Vec<BenchRow>, facts: &mut Vec<(String, String)>) {
     let count = told.len();
     let chosen: Vec<_> = told.iter().filter_map(|t| t.choice.map(|choice| (t, choice))).collect();
-    let share = |misses: usize| misses as f64 / chosen.len().max(1) as f64;
-    let above = share(chosen.iter().filter(|(_, (_, estimate, error))| error > estimate).count());
-    let outside = share(chosen.iter().filter(|(t, (_, _, error))| *error > t.tolerance).count());
+    let above = chosen.iter().filter(|(_, (_, estimate, error))| error > estimate).count();
+    let outside = chosen.iter().filter(|(t, (_, _, error))| *error > t.tolerance).count();
+    // Of a few scenes one may miss: there are no parts of a scene.
+    let allowed = (MISSES * chosen.len() as f64).ceil() as usize;
     for (what, misses) in [("the estimate", above), ("the tolerance", outside)] {
         let case = format!("{} choices, share of true errors above {what}", chosen.len());
-        rows.push(BenchRow { failed: misses > MISSES, ..row(SUITE, "auto", case, Some(misses), None) });
+        let share = misses as f64 / chosen.len().max(1) as f64;
+        rows.push(BenchRow { failed: misses > allowed, ..row(SUITE, "auto", case, Some(share), None) });
     }
     let mut quantiles = |method: &str, errors: &[f64], times: &[f64]| {
         for (name, part) in [("median", 0.5), ("worst", 1.0)] {
@@ -172,8 +174,8 @@ fn draw(told: &[Told], curves: &mut Vec<Curve>) {
     }
 }
 
-/// The table: factors of `judges` scenes, errors of [`PER_JUDGE`] times as many. The largest errors are found on a cheap
-/// mesh, and computed again on the truth's.
+/// The table: factors of `judges` scenes, errors of [`PER_JUDGE`] times as many. The largest errors are found on a
+/// cheap mesh, and computed again on the truth's.
 fn certify(judges: u64) -> Result<String, Failure> {
     let ratios = in_parallel("its estimates", "scenes", judges, |seed| suite::ratios(&Scene::seeded(seed).0));
     let ratios: Vec<Option<[f64; 2]>> = ratios.into_iter().collect::<Result<_, _>>()?;

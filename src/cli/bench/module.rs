@@ -2,9 +2,9 @@
 //! Jacobians, inverses and plans.
 //!
 //! Errors are against the finest resolution with the same law: the rods' discretisation alone; those of an equilibrium
-//! are relative to the plate's travel, all others to the FREEs' length. What the law itself is off by is told apart, and
-//! what rods leave out (ends, cross-sections that deform) is the model's error, which only the solid tells. One thread;
-//! the table of a law is made on all cores.
+//! are relative to the plate's travel, all others to the FREEs' length. What the law itself is off by is told apart,
+//! and what rods leave out (ends, cross-sections that deform) is the model's error, which only the solid tells. One
+//! thread; the table of a law is made on all cores.
 
 use std::time::Instant;
 

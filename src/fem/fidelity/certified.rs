@@ -192,8 +192,8 @@ impl Row {
     }
 }
 
-/// The table of `factors`, one for each of [`ESTIMATES`], and `rows`, one for each bucket, as it is stored; `origin` says
-/// in a line where it comes from.
+/// The table of `factors`, one for each of [`ESTIMATES`], and `rows`, one for each bucket, as it is stored; `origin`
+/// says in a line where it comes from.
 pub fn table(origin: &str, factors: &[Option<Factor>], rows: &[Option<Row>]) -> String {
     let mut text = format!("# {origin}\n{FACTOR_NAMES}\n");
     for (name, factor) in ESTIMATES.iter().zip(factors) {

@@ -2,8 +2,8 @@
 //! section, and what the ends add by a solid.
 //!
 //! Of a free tube that is the whole's mean motion less the motion at mid-length, in which the error that the solid's
-//! elements make across the tube cancels. Of a blocked one, the middle stretches and turns a little between ends that do
-//! not: the force is that of the section held at the stretch and twist of the solid's middle.
+//! elements make across the tube cancels. Of a blocked one, the middle stretches and turns a little between ends that
+//! do not: the force is that of the section held at the stretch and twist of the solid's middle.
 
 use super::{FidelityError, Hold, Point, Rest, Scene};
 use crate::fem::ends::{End, Ends, Equilibrium};

@@ -9,11 +9,11 @@
 //! | section | helical generalised plane strain ([`super::section`]) | end effects |
 //! | solid | three-dimensional ([`super::solid`]) | |
 //!
-//! Two errors are told apart. The **discretisation error** is what the mesh of the tier leaves: estimated from a
-//! second mesh, zero of a closed form. The **model error** is what the tier leaves out, estimated against the next one
-//! up that has it: linear and nonlinear against the section, the section against the solid: of a coarse one the ends are
-//! taken alone, in which most of its mesh's error cancels. Estimates are multiplied by the table's factors, which make
-//! bounds of them.
+//! Two errors are told apart. The **discretisation error** is what the mesh of the tier leaves: estimated from a second
+//! mesh, zero of a closed form. The **model error** is what the tier leaves out, estimated against the next one up that
+//! has it: linear and nonlinear against the section, the section against the solid: of a coarse one the ends are taken
+//! alone, in which most of its mesh's error cancels. Estimates are multiplied by the table's factors, which make bounds
+//! of them.
 //!
 //! How far the estimates are from the truth is measured on seeded scenes ([`suite`]), which also give the table by
 //! which cheap tiers are taken without asking a dearer one ([`certified`]).

@@ -22,10 +22,10 @@ const UNTWISTED: Ends = Ends { axial: End::Loaded(0.0), torsion: End::Held(0.0) 
 /// Share of a solid module's time that its usual mesh takes; the rest is the coarser one's.
 const USUAL: f64 = 0.7;
 
-/// Estimated relative discretisation error of the `answers` of `module`, the rods of `scene`, whose laws have the errors
-/// `law`: rods' resolution, section's mesh and the law's interpolation (a stretch that is wrong on one side of the plate
-/// tilts it, and so does a bending stiffness that is wrong in all rods), one on top of the other. Zero where nothing
-/// moves.
+/// Estimated relative discretisation error of the `answers` of `module`, the rods of `scene`, whose laws have the
+/// errors `law`: rods' resolution, section's mesh and the law's interpolation (a stretch that is wrong on one side of
+/// the plate tilts it, and so does a bending stiffness that is wrong in all rods), one on top of the other. Zero where
+/// nothing moves.
 pub fn rods_discretisation_error(scene: &ModuleScene, module: &Module, law: &Errors, answers: &[Answer]) -> f64 {
     let (rest, radius) = (module.rest(), FRAC_1_SQRT_2 * scene.spacing);
     let poses = || answers.iter().filter_map(|answer| answer.pose.as_ref());
@@ -42,8 +42,8 @@ pub fn rods_discretisation_error(scene: &ModuleScene, module: &Module, law: &Err
     (rods + stretch + twist + bending) / scale + law.mesh
 }
 
-/// How far rods whose bending stiffness is off by `error` put the plate from the `answers`, m. Infinite where they cannot
-/// follow.
+/// How far rods whose bending stiffness is off by `error` put the plate from the `answers`, m. Infinite where they
+/// cannot follow.
 fn moved_by_bending(scene: &ModuleScene, module: &Module, error: f64, answers: &[Answer]) -> f64 {
     if !error.is_finite() {
         return f64::INFINITY;
@@ -61,8 +61,8 @@ fn moved_by_bending(scene: &ModuleScene, module: &Module, error: f64, answers: &
 }
 
 /// Estimated relative model error of the rods: the part of the ends, which a rod does not have, in what one of the
-/// FREEs does by itself, free, at `pressure` Pa, or at half of it where it has no equilibrium there by itself. None where
-/// it has neither or the ends cannot be seen, and for fibres without width.
+/// FREEs does by itself, free, at `pressure` Pa, or at half of it where it has no equilibrium there by itself. None
+/// where it has neither or the ends cannot be seen, and for fibres without width.
 ///
 /// # Errors
 /// As [`ask`].

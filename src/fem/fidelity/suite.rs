@@ -109,8 +109,8 @@ pub fn errors(scene: &Scene, fine: bool) -> Result<Option<(f64, f64)>, FidelityE
     Ok(Some((more, ends * scene.length / scene.tube.outer_radius())))
 }
 
-/// True over estimated error of what the table has factors of ([`super::certified::ESTIMATES`]): of the section, what is
-/// beyond its mesh's, over the ends' part as it is seen; of the solid, over its mesh's. None as [`truth`].
+/// True over estimated error of what the table has factors of ([`super::certified::ESTIMATES`]): of the section, what
+/// is beyond its mesh's, over the ends' part as it is seen; of the solid, over its mesh's. None as [`truth`].
 ///
 /// # Errors
 /// As [`ask`].

@@ -23,8 +23,8 @@ pub struct Pose {
     pub negative_pivots: i32,
     /// Least distance between the surfaces of two FREEs (from 0) and which, m.
     pub least_clearance: Option<([usize; 2], f64)>,
-    /// Estimated error of the position that the rods' resolution makes, m: that of the resolution below the one answered.
-    /// Infinite where it is not known.
+    /// Estimated error of the position that the rods' resolution makes, m: that of the resolution below the one
+    /// answered. Infinite where it is not known.
     pub discretisation_error: f64,
 }
 
@@ -69,8 +69,8 @@ impl std::fmt::Display for Limit {
 }
 
 /// The rods' answers to `rows` of gauge pressures (Pa), each followed from rest with the scene's other loads growing
-/// alongside. `module` is that of `scene`; its resolution is what the error is estimated with, and a finer one's poses are
-/// what is answered. What has no equilibrium is answered by the limit that it lies beyond.
+/// alongside. `module` is that of `scene`; its resolution is what the error is estimated with, and a finer one's poses
+/// are what is answered. What has no equilibrium is answered by the limit that it lies beyond.
 pub fn answer(scene: &ModuleScene, module: &Module, rows: &[[f64; 4]]) -> Vec<Answer> {
     rows.par_iter().map(|row| one(scene, module, *row)).collect()
 }

@@ -100,15 +100,15 @@ impl Module {
         Solver::new(self).follow_from(start, loads)
     }
 
-    /// The same, with the stiffness and the clearance at the equilibrium itself and not, as far as stability allows, where
-    /// the last correction began: for whoever takes differences of them. A linearisation more.
+    /// The same, with the stiffness and the clearance at the equilibrium itself and not, as far as stability allows,
+    /// where the last correction began: for whoever takes differences of them. A linearisation more.
     pub fn equilibrium_closely_from(&self, start: &State, loads: &Loads) -> Result<State, ModuleError> {
         Solver { thorough: true, ..Solver::new(self) }.follow_from(start, loads)
     }
 
-    /// What the plate of `state`, an equilibrium of this module, would be pushed by, (moment, force) about its centre, if one
-    /// rod (index, rod) were another: to first order in the difference of their laws, by one linearisation for all of
-    /// `others`. The state's compliance times it is how the plate would move.
+    /// What the plate of `state`, an equilibrium of this module, would be pushed by, (moment, force) about its centre,
+    /// if one rod (index, rod) were another: to first order in the difference of their laws, by one linearisation for
+    /// all of `others`. The state's compliance times it is how the plate would move.
     ///
     /// # Errors
     /// A law that refuses the rod's strains.
@@ -195,8 +195,8 @@ impl<'a> Solver<'a> {
         sum
     }
 
-    /// From the equilibrium `start` to that under `to`: along the tangent that it has kept, where that leads there, which
-    /// saves a linearisation.
+    /// From the equilibrium `start` to that under `to`: along the tangent that it has kept, where that leads there,
+    /// which saves a linearisation.
     fn follow_from(&mut self, start: &State, to: &Loads) -> Result<State, ModuleError> {
         let fits = start.tangent.len() == self.module.mounts.len() && to.pressures.len() == start.tangent.len();
         if fits && !self.held {
@@ -256,8 +256,8 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Newton's method from nearby unknowns, with the correction that has led there and the stiffness it was made with, if
-    /// one has; an error without a cause where it does not contract.
+    /// Newton's method from nearby unknowns, with the correction that has led there and the stiffness it was made with,
+    /// if one has; an error without a cause where it does not contract.
     fn newton(
         &mut self,
         mut at: Unknowns,
@@ -292,11 +292,11 @@ impl<'a> Solver<'a> {
 
     /// Whether two successive corrections, made with these stiffnesses, and the stability at the second are enough.
     ///
-    /// Newton's corrections of a smooth problem are `s, L s^2 / 2, ...` with one L that does not depend on the problem's
-    /// units, so that with the ratio r of the two the second one leaves `r^2` of itself. It changes the linearisation by
-    /// r of what the first has changed it by: where the rods are stable at their tips and the stiffness, less some times
-    /// that, is positive, what is stable before the second correction is stable after it. What is not, or hardly, is
-    /// iterated to the end.
+    /// Newton's corrections of a smooth problem are `s, L s^2 / 2, ...` with one L that does not depend on the
+    /// problem's units, so that with the ratio r of the two the second one leaves `r^2` of itself. It changes the
+    /// linearisation by r of what the first has changed it by: where the rods are stable at their tips and the
+    /// stiffness, less some times that, is positive, what is stable before the second correction is stable after it.
+    /// What is not, or hardly, is iterated to the end.
     fn settled(&self, at: &Unknowns, [before, step]: [&Step; 2], [first, second]: [&Matrix6<f64>; 2]) -> bool {
         let ratio = step.measure() / before.measure();
         if self.held || self.thorough || ratio > QUADRATIC || ratio * ratio * step.measure() > LEFT {

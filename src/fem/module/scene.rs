@@ -45,8 +45,8 @@ pub struct Free {
     pub tube: Tube,
     /// Length at rest from base to plate, m.
     pub length: f64,
-    /// The part of the length, half at each end, that the ends keep from moving, m: the end correction of this type of FREE, 0
-    /// unless identified; negative where ends move more than the middle.
+    /// The part of the length, half at each end, that the ends keep from moving, m: the end correction of this type of
+    /// FREE, 0 unless identified; negative where ends move more than the middle.
     pub dead_length: f64,
     /// Curvature at rest about x and y, rad/m: no FREE is quite straight.
     pub rest_curvature: Vector2<f64>,
@@ -144,8 +144,8 @@ impl FromStr for Layout {
 }
 
 impl ModuleScene {
-    /// Four FREEs of `tube`, whose winding angle's magnitude counts, and `length` m in `layout`, `spacing` m apart; a massless plate, no
-    /// loads, no gravity.
+    /// Four FREEs of `tube`, whose winding angle's magnitude counts, and `length` m in `layout`, `spacing` m apart; a
+    /// massless plate, no loads, no gravity.
     pub fn new(tube: &Tube, length: f64, layout: Layout, spacing: f64) -> ModuleScene {
         let free = |hand: Hand| Free {
             tube: Tube { gamma: hand.signed(tube.gamma), ..*tube },

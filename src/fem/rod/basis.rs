@@ -12,9 +12,9 @@ pub struct Resolution {
 }
 
 impl Resolution {
-    /// 0.01 % of the length for moderate bends, 0.15 % for turns beyond a radian ([`refined`](Resolution::refined) ones tell
-    /// which), critical loads of a plate that is free to move to 1 %.
-    /// Rods between clamped ends buckle in shapes that wind more: degree 5 or more, and twice the steps.
+    /// 0.01 % of the length for moderate bends, 0.15 % for turns beyond a radian ([`refined`](Resolution::refined) ones
+    /// tell which), critical loads of a plate that is free to move to 1 %. Rods between clamped ends buckle in shapes
+    /// that wind more: degree 5 or more, and twice the steps.
     pub const DEFAULT: Resolution = Resolution { degree: 4, steps: 4 };
 
     /// Two degrees and twice the steps: what the error is estimated with.

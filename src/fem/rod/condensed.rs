@@ -229,8 +229,8 @@ impl Condensed {
 }
 
 /// `U^T D U` of the upper triangle in place (D on the diagonal, U's unit diagonal not stored), and
-/// `sides <- U^-T sides`. The number of negative pivots; none where one vanishes, so that not even its sign says anything. `diagonal` is
-/// room for the diagonal, whose length is the matrix's size.
+/// `sides <- U^-T sides`. The number of negative pivots; none where one vanishes, so that not even its sign says
+/// anything. `diagonal` is room for the diagonal, whose length is the matrix's size.
 fn factorise(matrix: &mut [f64], sides: &mut [f64], diagonal: &mut [f64]) -> Option<i32> {
     let n = diagonal.len();
     for (k, d) in diagonal.iter_mut().enumerate() {

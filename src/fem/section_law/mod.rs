@@ -2,8 +2,8 @@
 //!
 //! The potential psi0 of a straight piece at held stretch and twist under pressure is what a [`Section`] minimises; a
 //! [`Table`] of it over all that the FREEs of a module can reach is the rod's law, exact for straight rods of any
-//! finite strain. Bending and shear are the second variation about such states ([`Section::bending`]), as polynomials of
-//! stretch, twist and pressure. Pressure enters through these potentials and nowhere else.
+//! finite strain. Bending and shear are the second variation about such states ([`Section::bending`]), as polynomials
+//! of stretch, twist and pressure. Pressure enters through these potentials and nowhere else.
 //!
 //! A FREE and its mirror image share one table, kept for the right-handed one.
 
@@ -95,11 +95,11 @@ pub struct Errors {
     pub twist: f64,
     /// States between the grid's points that were compared.
     pub states: usize,
-    /// The mesh's relative error of what a blocked tube does at half of the pressure, or at a quarter or an eighth where
-    /// one of the meshes compared folds before; infinite where it has folded by then, too.
+    /// The mesh's relative error of what a blocked tube does at half of the pressure, or at a quarter or an eighth
+    /// where one of the meshes compared folds before; infinite where it has folded by then, too.
     pub mesh: f64,
-    /// Largest relative error of EI in those states. A section that is about to give way sideways has hardly an EI left,
-    /// and falls to it too steeply for a polynomial.
+    /// Largest relative error of EI in those states. A section that is about to give way sideways has hardly an EI
+    /// left, and falls to it too steeply for a polynomial.
     pub bending: f64,
     /// The one that nine of ten of them do not exceed.
     pub mostly: f64,
@@ -120,8 +120,8 @@ impl Request {
     }
 }
 
-/// The grid of `request`: about the states that a section held from turning, but free to stretch, has under pressure, since
-/// that is what the others of a module make of a FREE.
+/// The grid of `request`: about the states that a section held from turning, but free to stretch, has under pressure,
+/// since that is what the others of a module make of a FREE.
 fn grid(request: &Request, section: &Section) -> Result<Grid, SectionLawError> {
     let stiffness = LinearSection::new(&request.tube)?.stiffness;
     let mut state = section.rest()?;

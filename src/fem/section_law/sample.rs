@@ -44,8 +44,8 @@ fn jet(section: &Section, state: &State, found: &Equilibrium) -> Jet {
 }
 
 impl Row {
-    /// Goes up in pressure along the states that are free to stretch, and from each of them along the stretch to both sides, as
-    /// far as the section is stable.
+    /// Goes up in pressure along the states that are free to stretch, and from each of them along the stretch to both
+    /// sides, as far as the section is stable.
     pub fn sample(section: &Section, grid: &Grid, twist: usize) -> Result<Row, SectionError> {
         let mut row = Row::default();
         let mut spine = section.rest()?;

@@ -1,5 +1,5 @@
-//! The bench of the hardware-in-the-loop test, outside the emulator: freerig's simulated chips and plant, in the emulated
-//! machine's time, behind an emulated USB adapter for the I2C bus and an emulated serial port.
+//! The bench of the hardware-in-the-loop test, outside the emulator: freerig's simulated chips and plant, in the
+//! emulated machine's time, behind an emulated USB adapter for the I2C bus and an emulated serial port.
 //!
 //! `hil-bench RIG USB SERIAL TIME ORDERS`: the rig file, the emulator's three sockets, and a folder. A file `unplug`
 //! there pulls the adapter's plug, a file `plug` puts it in again; each goes when it has been done. The file `truth`
@@ -120,8 +120,8 @@ fn tell(orders: &Path, pressure: f64) -> std::io::Result<()> {
     std::fs::rename(fresh, orders.join("truth"))
 }
 
-/// Moves bytes between the emulator's serial port and the line until one of them ends. What the line has for the machine
-/// is looked for as often as the time is asked: that clock wakes nobody.
+/// Moves bytes between the emulator's serial port and the line until one of them ends. What the line has for the
+/// machine is looked for as often as the time is asked: that clock wakes nobody.
 fn serve_line(serial: &Path, line: &Arc<Mutex<SerialLine>>, clock: &Clock, pace: &Pace) -> std::io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {

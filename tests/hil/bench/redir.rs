@@ -47,7 +47,8 @@ pub struct Packet {
 pub struct Link(UnixStream);
 
 impl Link {
-    /// Exchanges the hellos and presents a device of `vendor` and `product` with one interface of the vendor's own class.
+    /// Exchanges the hellos and presents a device of `vendor` and `product` with one interface of the vendor's own
+    /// class.
     pub fn open(mut stream: UnixStream, vendor: u16, product: u16) -> io::Result<Self> {
         let mut hello = [0; VERSION + 4];
         hello[..9].copy_from_slice(b"hil-bench");

@@ -33,8 +33,8 @@ pub(super) enum Ends {
     Estimated(f64),
 }
 
-/// The most that rods with a dead length were off by, against the solid of the module, of the travel: the ends of a FREE
-/// that is bent are not quite those of one that is stretched (six states at 30 and 60 deg, docs/models.md).
+/// The most that rods with a dead length were off by, against the solid of the module, of the travel: the ends of a
+/// FREE that is bent are not quite those of one that is stretched (six states at 30 and 60 deg, docs/models.md).
 const BENT_ENDS: f64 = 0.007;
 
 pub(super) fn by_rods(
@@ -125,13 +125,13 @@ pub(super) fn by_either(
     Ok(solid)
 }
 
-/// Rods that are shorter by what the ends of a single FREE of their kind take of it at the highest pressure, by its solid:
-/// exact there for a FREE that the others hold from turning. None where a single FREE has no equilibrium there, or no
-/// dead length makes a rod of it.
+/// Rods that are shorter by what the ends of a single FREE of their kind take of it at the highest pressure, by its
+/// solid: exact there for a FREE that the others hold from turning. None where a single FREE has no equilibrium there,
+/// or no dead length makes a rod of it.
 ///
 /// What one length misses elsewhere: FREEs at other pressures have other dead lengths, of which the one at half of the
-/// pressure shows how much they differ. A rod's tip goes with its length where it is stretched and with the square of it
-/// where it is bent, so that a dead length wrong by d moves it by up to 2 d of its length. On top comes what ends do
+/// pressure shows how much they differ. A rod's tip goes with its length where it is stretched and with the square of
+/// it where it is bent, so that a dead length wrong by d moves it by up to 2 d of its length. On top comes what ends do
 /// otherwise when they bend, [`BENT_ENDS`].
 fn by_corrected_rods(
     scene: &ModuleScene,
