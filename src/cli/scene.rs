@@ -12,7 +12,7 @@ use crate::config::{Cache, Rig};
 use crate::fem::module::{Layout, Module, ModuleScene, SceneError};
 use crate::fem::rod::Resolution;
 use crate::fem::section::Mesh;
-use crate::fem::section_law::{Errors, SectionLawError};
+use crate::fem::section_law::{Errors, Request, SectionLawError};
 use crate::model::GRAVITY;
 use crate::units::{Acceleration, Angle, Force, Length, Mass, PASCAL_PER_PSI, Pressure};
 
@@ -139,9 +139,17 @@ pub fn build(scene: &ModuleScene, highest: f64, context: &Context) -> Result<Bui
         "law of the FREE of {gamma:.1} deg up to {range:.0} psi: kept from an earlier time, or tabulated now, which takes seconds"
     ));
     let cache = Cache::usual();
-    let mut law_errors = Errors::default();
+    let (mut law_errors, mut blunted) = (Errors::default(), false);
     let module = scene.module(Mesh::default(), Pressure::psi(range).si(), Resolution::DEFAULT, |request| {
-        let law = cache.section_law(request)?;
+        let mut law = cache.section_law(request)?;
+        if !law.reaches(highest) {
+            let blunt = Request { mesh: Mesh::blunt(&request.tube), ..*request };
+            let other = cache.section_law(&blunt)?;
+            if other.table().coverage_at(highest) > law.table().coverage_at(highest) {
+                law = other;
+                blunted = true;
+            }
+        }
         let found = law.errors();
         law_errors.stretch = law_errors.stretch.max(found.stretch);
         law_errors.twist = law_errors.twist.max(found.twist);
@@ -150,6 +158,13 @@ pub fn build(scene: &ModuleScene, highest: f64, context: &Context) -> Result<Bui
         law_errors.mostly = law_errors.mostly.max(found.mostly);
         Ok(law)
     });
+    if blunted {
+        context.note(format!(
+            "on the usual mesh the rubber folds at the fibres' edges below {:.2}; the law is of a blunter mesh, whose \
+             rubber has not folded",
+            Pressure::pascals(highest)
+        ));
+    }
     Ok(Built { module: module.map_err(refused)?, law_errors })
 }
 

@@ -97,6 +97,21 @@ fn the_rods_estimate_has_what_a_wrong_bending_stiffness_does() {
 }
 
 #[test]
+fn beyond_every_limit_the_sections_is_told_and_no_error() {
+    let tube = Tube::reference(30f64.to_radians());
+    for pressures in [vec![20.0 * PSI], vec![0.0, 20.0 * PSI]] {
+        let scene = Scene { tube, length: 0.13, hold: Hold::Free, pressures };
+        let choice = choose(&scene, 0.2, &mut |_| {}).unwrap();
+        let [.., last] = &choice.considered[..] else { panic!("nothing was considered") };
+        let limit = choice.answer.limit.as_ref().unwrap().pressure;
+        let section = Section::new(&tube, Mesh::level(2)).unwrap();
+        let known = section.limit_pressure(Ends::FREE, 20.0 * PSI).unwrap().unwrap().pressure;
+        assert!((limit / known - 1.0).abs() < 5e-3, "{limit} for {known}");
+        assert!(last.estimate.is_infinite() && choice.answer.discretisation_error.is_infinite());
+    }
+}
+
+#[test]
 fn what_is_certified_is_chosen_at_once_and_honest() {
     // Scenes that the table has not seen. Each is beyond the largest error of twenty with a probability of 1 / 21: one
     // of six is (1 000 059, by a hundredth of its estimate), two would be too many, 3 %.

@@ -160,6 +160,19 @@ fn a_blocked_tube_of_60_degrees_loses_its_straightness_between_4_and_5_psi() {
 }
 
 #[test]
+fn rest_among_the_pressures_and_one_of_them_twice_is_no_end() {
+    let (tube, tip) = (line(40.0), Tip::straight(Ends::FREE));
+    let mesh = Mesh { wall: 1, around: 1, ..Mesh::sector(&tube) };
+    let alone = follow(&tube, &mesh, &tip, &[2.0]);
+    for psi in [&[0.0, 2.0][..], &[0.0, 0.0, 2.0], &[2.0, 2.0, 2.0], &[1.0, 2.0, 2.0, 1.0]] {
+        let path = follow(&tube, &mesh, &tip, psi);
+        assert!(path.end == PathEnd::Reached && path.states.len() == psi.len(), "{psi:?}: {:?}", path.end);
+        let off = path.states[psi.len().min(3) - 1].rotation - alone.states[0].rotation;
+        assert!(off.abs() < 1e-7, "{psi:?}: {off}");
+    }
+}
+
+#[test]
 fn a_small_moment_bends_the_tube_as_the_reference() {
     // bending.csv: 0.3104672 rad per N mm and 20.18155 mm per N mm at the tip of a tube of 60 deg at rest (two codes
     // agree on its line-fibre mesh of 2 x 6 a sector to 0.8 %). This mesh is coarser under the line fibre.

@@ -148,13 +148,24 @@ pub struct Answer {
 }
 
 /// Relative difference of `points` from `reference`, as [`measure::difference`] has it; infinite where one has an
-/// equilibrium and the other has none.
+/// equilibrium and the other has none, and where nothing is left to compare.
 pub fn difference(points: &[Point], reference: &[Point], scene: &Scene) -> f64 {
     if points.iter().zip(reference).any(|(a, b)| a.rest.is_some() != b.rest.is_some()) {
         return f64::INFINITY;
     }
     let both = points.iter().zip(reference).filter_map(|(a, b)| Some((a.rest?.into(), b.rest?.into())));
-    measure::difference(&scene.tube, scene.hold.ends(), &both.collect::<Vec<_>>())
+    let both: Vec<_> = both.collect();
+    if both.is_empty() && !scene.pressures.is_empty() {
+        return f64::INFINITY;
+    }
+    measure::difference(&scene.tube, scene.hold.ends(), &both)
+}
+
+impl Answer {
+    /// Whether it has any equilibrium but that at rest.
+    fn moves(&self) -> bool {
+        self.points.iter().any(|point| point.rest.is_some() && point.pressure != 0.0)
+    }
 }
 
 impl From<Rest> for Outcome {
@@ -191,6 +202,9 @@ mod tests {
         assert_eq!(difference(&reference, &reference, &scene), 0.0);
         let ended = [off[0], point(2e4, None)];
         assert_eq!(difference(&ended, &reference, &scene), f64::INFINITY);
+        // Where both end before, nothing is known of either.
+        let none = [point(1e4, None), point(2e4, None)];
+        assert_eq!(difference(&none, &none, &scene), f64::INFINITY);
         let nothing = [point(0.0, Some((1.0, 0.0)))];
         assert_eq!(difference(&nothing, &nothing, &scene), 0.0);
     }

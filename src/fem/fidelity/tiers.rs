@@ -208,7 +208,11 @@ pub(super) fn section(scene: &Scene, tolerance: f64) -> Result<Answer, FidelityE
             }
         }
     }
-    Ok(Answer { fidelity: Fidelity::Section, points, limit, discretisation_error, profile: Vec::new() })
+    let mut answer = Answer { fidelity: Fidelity::Section, points, limit, discretisation_error, profile: Vec::new() };
+    if answer.limit.is_some() && !answer.moves() {
+        answer.discretisation_error = f64::INFINITY;
+    }
+    Ok(answer)
 }
 
 /// The solid on its usual mesh, its discretisation error estimated against the coarse one, and, as the section knows

@@ -165,6 +165,13 @@ impl Table {
         self.cells().filter(|c| self.valid(*c)).count() as f64 / cells as f64
     }
 
+    /// The share of the cells at `pressure` Pa in which the table answers, 0 to 1.
+    pub fn coverage_at(&self, pressure: f64) -> f64 {
+        let Some((layer, _)) = self.axes[2].cell(pressure) else { return 0.0 };
+        let cells = || self.cells().filter(|cell| cell[2] == layer);
+        cells().filter(|cell| self.valid(*cell)).count() as f64 / cells().count() as f64
+    }
+
     /// Compares with `law` at the middle of every `stride`-th valid cell, where the interpolant is worst.
     pub fn deviation(&self, stride: usize, mut law: impl FnMut(f64, f64, f64) -> Option<Jet>) -> TableDeviation {
         let mut worst = TableDeviation::default();

@@ -36,6 +36,9 @@ const HALVINGS: i32 = 2;
 const REACH: f64 = 0.05;
 const BEND: f64 = 0.25;
 
+/// Share of the states at rest that a law has at a pressure that it reaches.
+const REACHED: f64 = 0.9;
+
 /// Closed, free to stretch, held from turning.
 const UNTWISTED: Ends = Ends { axial: End::Loaded(0.0), torsion: End::Held(0.0) };
 
@@ -206,6 +209,11 @@ impl SectionLaw {
         &self.table
     }
 
+    /// Whether it has most of the states at `pressure` Pa that it has at rest. Where it has not, the rubber has folded.
+    pub fn reaches(&self, pressure: f64) -> bool {
+        self.table.coverage_at(pressure) >= REACHED * self.table.coverage_at(0.0)
+    }
+
     /// How far it may be off.
     pub fn errors(&self) -> Errors {
         self.errors
@@ -219,7 +227,9 @@ fn motion(linear: &LinearSection, load: &Vector2<f64>) -> Vector2<f64> {
 
 /// See [`Errors::mesh`].
 fn mesh_error(request: &Request, section: &Section) -> Result<f64, SectionLawError> {
-    let fine = Section::new(&request.tube, request.mesh.refined())?;
+    // Blunt meshes are refined where they are blunt.
+    let blunt = request.mesh == Mesh::blunt(&request.tube);
+    let fine = Section::new(&request.tube, if blunt { Mesh::level(2) } else { request.mesh.refined() })?;
     let linear = LinearSection::new(&request.tube)?;
     let of = |e: &Equilibrium| {
         let [stretch, twist] = motion(&linear, &Vector2::new(e.force, e.moment)).into();

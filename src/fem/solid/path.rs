@@ -120,10 +120,8 @@ impl Solid {
                 let piece = way / steps;
                 let mut told = |part: f64| progress(((passed + part * piece) / total).min(1.0));
                 if self.go(&Target { gas, ..target }, &mut told).is_err() {
-                    path.end = match self.limit(goal)? {
-                        Some(limit) => PathEnd::Limit(limit),
-                        None => PathEnd::Stuck(self.state.gas * self.modulus),
-                    };
+                    let reached = self.state.gas * self.modulus;
+                    path.end = self.limit(goal)?.map_or(PathEnd::Stuck(reached), PathEnd::Limit);
                     path.iterations = self.iterations;
                     return Ok(path);
                 }
@@ -294,7 +292,8 @@ impl Solid {
         self.system.advance(state, direction, step);
         let Some(before) = &self.before else { return };
         let back = before.gas - self.state.gas;
-        if step.abs() > 2.0 * back.abs() {
+        // Two equilibria at one pressure are on no parabola.
+        if back == 0.0 || step.abs() > 2.0 * back.abs() {
             return;
         }
         let mut line = self.state.clone();

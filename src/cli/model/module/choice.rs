@@ -7,7 +7,8 @@ use anyhow::anyhow;
 use crate::cli::scene::build;
 use crate::cli::{Context, Failure, Progress};
 use crate::fem::fidelity::{FidelityError, dead_length, rods_discretisation_error, rods_model_error, solid_answers};
-use crate::fem::module::{self, Answer, ModuleScene};
+use crate::fem::module::{self, Answer, Limit, ModuleError, ModuleScene, Reason};
+use crate::fem::rod::{LawError, RodError};
 use crate::fem::section::SectionError;
 use crate::fem::tube::Tube;
 use crate::units::Percent;
@@ -100,7 +101,7 @@ pub(super) fn by_either(
         rods.ends = Ends::of(ends);
     }
     let mut tried = rods.told("rod");
-    if !rods.within(tolerance) && rods.discretisation <= tolerance.si() {
+    if !rods.within(tolerance) && rods.discretisation <= tolerance.si() && !rods.beyond_law() {
         context.note(format!("{tried}: above --tolerance {tolerance}; now with the ends corrected, some seconds"));
         if let Some(corrected) = by_corrected_rods(scene, rows, highest, context)? {
             rods = corrected;
@@ -208,9 +209,21 @@ impl fmt::Display for Ends {
 }
 
 impl Found {
-    /// All that is estimated of the error; none where the ends' is unknown.
+    /// All that is estimated of the error; none where the ends' is unknown, or the law ends and not the module.
     fn error(&self) -> Option<f64> {
-        (self.ends != Ends::Unknown).then(|| self.discretisation + self.ends.estimate().unwrap_or(0.0))
+        let known = self.ends != Ends::Unknown && !self.beyond_law();
+        known.then(|| self.discretisation + self.ends.estimate().unwrap_or(0.0))
+    }
+
+    /// Whether a row ends where the law's table does.
+    fn beyond_law(&self) -> bool {
+        let law = |limit: &Limit| {
+            matches!(
+                limit.reason,
+                Reason::Module(ModuleError::Rod { cause: RodError::Law(LawError::OutsideTable { .. }), .. })
+            )
+        };
+        self.answers.iter().filter_map(|answer| answer.limit.as_ref()).any(law)
     }
 
     /// Whether that is within `tolerance`: what is not known is no reason to believe the rods.
@@ -220,6 +233,9 @@ impl Found {
 
     /// "rod 1.20 % (discretisation 0.50 %, ends 0.70 %)".
     fn told(&self, what: &str) -> String {
+        if self.beyond_law() {
+            return format!("{what} unknown (beyond the section law's table)");
+        }
         let error = self.error().map_or("unknown".into(), percent);
         format!("{what} {error} (discretisation {}, ends {})", percent(self.discretisation), self.ends)
     }
@@ -232,6 +248,26 @@ pub(super) fn percent(share: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn where_the_laws_table_ends_nothing_is_known_of_the_module() {
+        let outside = LawError::OutsideTable { stretch: 1.0, twist: 0.0, pressure: 5e4 };
+        let cause = ModuleError::Rod { index: 0, cause: RodError::Law(outside) };
+        let limit = |reason| Some(Limit { fraction: 0.9, reason });
+        let found = |limit| Found {
+            fidelity: "rod",
+            answers: vec![Answer { pressures: [5e4; 4], pose: None, limit }],
+            discretisation: 0.0,
+            ends: Ends::Estimated(0.01),
+            notes: Vec::new(),
+            reason: None,
+        };
+        let tolerance: Percent = "5%".parse().unwrap();
+        let law = found(limit(Reason::Module(cause)));
+        assert!(!law.within(tolerance) && law.told("rod").contains("beyond the section law's table"));
+        // A limit of the module's own is an answer.
+        assert!(found(limit(Reason::Critical(module::Kind::Bifurcation))).within(tolerance));
+    }
 
     #[test]
     fn ends_of_which_nothing_is_known_are_within_no_tolerance_and_said_to_be_unknown() {
