@@ -9,8 +9,8 @@ use super::list::List;
 use super::tube::TubeArgs;
 use super::{Context, Failure};
 use crate::config::{Cache, Rig};
-use crate::fem::module::{Layout, Module, ModuleScene, SceneError};
-use crate::fem::rod::Resolution;
+use crate::fem::module::{Layout, Module, ModuleError, ModuleScene, SceneError};
+use crate::fem::rod::{LawError, Resolution, RodError};
 use crate::fem::section::Mesh;
 use crate::fem::section_law::{Errors, Request, SectionLawError};
 use crate::model::GRAVITY;
@@ -175,6 +175,9 @@ fn refused(error: SceneError) -> Failure {
         SceneError::Law { cause: SectionLawError::Tube(_), .. } => "give other dimensions of the FREE",
         SceneError::Law { .. } => {
             return Failure::failed(error).remedy("ask for lower pressures, or for another FREE");
+        }
+        SceneError::Module(ModuleError::Rod { cause: RodError::Law(LawError::OutsideTable { .. }), .. }) => {
+            "ask for lower pressures: the law has the highest one and eighths of it, and this FREE has no equilibria there"
         }
         SceneError::Module(_) => "give other values of the module's flags",
     };

@@ -255,12 +255,12 @@ fn text(rows: &[Row], scene: &ModuleScene, found: &Found) -> String {
     );
     if rows.iter().any(|row| row.converged) {
         text += &format!("\ndiscretisation error, estimated: {}", percent(found.discretisation));
-    }
-    for note in &found.notes {
-        text += &format!("\n{note}");
-    }
-    if found.fidelity == "rod" {
-        text += &format!("\nmodel error, estimated: {} (the FREEs' ends)", found.ends);
+        for note in &found.notes {
+            text += &format!("\n{note}");
+        }
+        if found.fidelity == "rod" {
+            text += &format!("\nmodel error, estimated: {} (the FREEs' ends)", found.ends);
+        }
     }
     if let Some(reason) = &found.reason {
         text += &format!("\nwhy this model: {reason}");

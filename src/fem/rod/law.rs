@@ -19,14 +19,16 @@ use thiserror::Error;
 use super::profile::{Isobaric, Profile};
 use super::table::{Slice, Table};
 use crate::fem::linear::LinearSection;
+use crate::units::PASCAL_PER_PSI;
 
 /// Where a law refuses to answer.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum LawError {
     /// The state is not in the tabulated domain of accepted, stable sections.
     #[error(
-        "stretch {stretch:.4}, twist {twist:.2} rad/m at {pressure:.0} Pa lie outside the tabulated section law: \
-         lower the pressure or the load, or tabulate a wider domain"
+        "stretch {stretch:.4}, twist {twist:.2} rad/m at {:.2} psi lie outside the tabulated section law: \
+         lower the pressure or the load",
+        pressure / PASCAL_PER_PSI
     )]
     OutsideTable {
         /// Axial stretch.
