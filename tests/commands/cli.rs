@@ -79,6 +79,18 @@ fn the_same_seed_gives_the_same_figures_and_another_gives_others() {
 }
 
 #[test]
+fn an_angle_that_pressure_cannot_reach_is_warned_of() {
+    let folder = bench();
+    let said = |angles: &str| {
+        let args = ["step", "--stepped", "--angles", angles, "--hold", "0.2s"];
+        String::from_utf8_lossy(&freerig(folder.path(), &args).stderr).into_owned()
+    };
+    let text = said("30deg,-10deg");
+    assert!(text.contains("warning: -10.0 deg is asked of `paper`") && text.contains("positive angles"), "{text}");
+    assert!(!said("30deg,10deg").contains("warning"));
+}
+
+#[test]
 fn repetitions_come_with_mean_and_scatter_and_say_simulated() {
     let folder = bench();
     let args = ["step", "--stepped", "--angles", "20deg", "--hold", "1s", "--repeat", "3", "--note", "thrice"];
