@@ -204,7 +204,11 @@ fn a_study_is_shared_killed_resumed_and_merged() {
     assert_eq!(best[0]["aim"], "rotation");
     assert!((best[0]["values"][1].as_f64().unwrap() - 0.7e-3).abs() < 1e-9, "{best:?}");
     let whole = std::fs::read(folder.path().join("study/designs.parquet")).unwrap();
-    assert!(std::fs::read_to_string(folder.path().join("study/report.html")).unwrap().contains("27 designs"));
+    let page = std::fs::read_to_string(folder.path().join("study/report.html")).unwrap();
+    for said in ["27 designs", "gamma=40deg..60deg:3, wall=0.7mm..0.9mm:3", "discretisation error, estimated"] {
+        assert!(page.contains(said), "{said}");
+    }
+    assert!(merged["discretisation_error_estimate"].as_f64().unwrap() > 0.0 && merged["missed"].is_u64());
     // A piece that is gone or damaged is computed again, to the same bits.
     std::fs::write(&piece, &kept[..kept.len() / 2]).unwrap();
     let damaged = question(&[]);
