@@ -61,7 +61,11 @@ fn the_demo_runs_reports_and_writes_only_runs() {
     assert!(folder.path().join(demo["calibration"]["report"].as_str().unwrap()).is_file());
     let calibration = fs::read(folder.path().join("calibration/paper.toml")).unwrap();
     assert_eq!(calibration, include_bytes!("../../calibration/paper.toml"), "the demo leaves the calibration as it is");
-    assert!(folder.path().join(demo["report"].as_str().unwrap()).is_file());
+    let page = fs::read_to_string(folder.path().join(demo["report"].as_str().unwrap())).unwrap();
+    for whisk in ["open_loop", "closed_loop"] {
+        let id = demo["whisk"][whisk]["id"].as_str().unwrap();
+        assert!(page.contains(&format!("href=\"{id}/report.html\"")), "{id} is not on the page");
+    }
     assert_eq!(names(folder.path()), ["calibration", "rig.toml", "runs"]);
     assert!(names(&folder.path().join("runs")).iter().all(|name| !name.starts_with('.')), "nothing is left behind");
 }
