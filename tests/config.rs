@@ -696,6 +696,8 @@ fn an_experiment_is_held_to_the_rig_that_is_to_run_it() {
     ] {
         let error = Experiment::parse(Path::new("x.toml"), text, &rig, None).expect_err(text);
         assert!(error.to_string().contains(words), "{text}\n{error}");
+        // What is missing brings no other problem with it.
+        assert!(!words.contains("is required") || error.problems.len() == 1, "{text}\n{error}");
     }
 }
 
