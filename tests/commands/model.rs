@@ -125,10 +125,12 @@ fn what_cannot_be_answered_is_named_with_its_remedy() {
     for (args, words) in [
         (&["--pressure", "7"][..], &["no unit", "psi"][..]),
         (&["--pressure", "1psi", "--fiber-model", "line"], &["--fidelity solid"]),
-        (&["--pressure", "1psi", "--gamma", "0deg"], &["winding angle", "0.1 and 89.9"]),
+        (&["--pressure", "1psi", "--gamma", "0deg"], &["--gamma 0 deg", "0.1 and 89.9 deg"]),
         (&["--pressure", "1psi", "--tolerance", "1"], &["no unit", "%"]),
         (&["--pressure", "1psi", "--tolerance", "0.001%"], &["tolerance", "0.05 %"]),
-        (&["--pressure", "1psi", "--fiber-width", "9mm"], &["fibre width", "share"]),
+        (&["--pressure", "1psi", "--fiber-width", "9mm"], &["--fiber-width 9 mm", "share"]),
+        (&["--pressure", "1psi", "--wall=-1mm"], &["--wall -1 mm", " mm at an inner diameter of ", "remedy"]),
+        (&["--pressure", "1psi", "--length", "0mm"], &["--length 0 mm", "must be positive", "remedy"]),
     ] {
         let output = freerig(folder.path(), &[&["model", "single"], args].concat());
         let text = String::from_utf8_lossy(&output.stderr);
