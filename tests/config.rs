@@ -516,6 +516,18 @@ fn an_effective_winding_angle_of_the_other_hand_is_refused() {
     assert!(error.contains("must have the sign of `winding_angle_deg`") && error.contains("remove it"), "{error}");
 }
 
+#[test]
+fn one_wrong_key_of_a_values_conditions_leaves_the_others_known() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("paper.toml");
+    let text = fs::read_to_string(repository().join("calibration/paper.toml")).unwrap();
+    let keys = "winding_angle_deg = -40.0\nlength_mm = 0\nfiber_radius_mm = 7.0";
+    fs::write(&path, format!("{text}\n[conditions.torsional_stiffness_nm_per_rad]\n{keys}\n")).unwrap();
+    let error = Calibration::read(&path).unwrap_err();
+    let [problem] = error.problems.as_slice() else { panic!("one problem is expected: {error}") };
+    assert!(problem.key.ends_with("length_mm") && problem.rule.contains("must be"), "{error}");
+}
+
 proptest! {
     #[test]
     fn a_calibration_reads_back_as_it_was_written(calibration in calibration_strategy()) {
@@ -684,6 +696,8 @@ fn an_experiment_is_held_to_the_rig_that_is_to_run_it() {
     ] {
         let error = Experiment::parse(Path::new("x.toml"), text, &rig, None).expect_err(text);
         assert!(error.to_string().contains(words), "{text}\n{error}");
+        // What is missing brings no other problem with it.
+        assert!(!words.contains("is required") || error.problems.len() == 1, "{text}\n{error}");
     }
 }
 

@@ -146,7 +146,8 @@ fn happened(event: Event, results: &mut Vec<RunResult>, context: &Context) {
         Happening::RunFinished(result) => results.push(result),
         Happening::Fault(fault) if fault.latched => {
             let about = fault.free.map(|free| format!(" ({free})")).unwrap_or_default();
-            context.note(format!("fault: {}{about}. {}", fault.name, fault.remedy));
+            // What to do about it is told with the run's result.
+            context.note(format!("fault: {}{about}", fault.name));
         }
         Happening::Warning { text, remedy } => context.note(format!("warning: {text}. {remedy}")),
         Happening::Missed { events } => context.note(format!("{events} messages of the daemon were missed")),

@@ -126,7 +126,7 @@ pub fn run(_: Args, context: &Context) -> Result<(), Failure> {
     );
     let whisk = demo_whisk::run(&rig.record.directory, context)?;
 
-    let report = overview(&rig, real_time.as_ref(), &comparisons)?.display().to_string();
+    let report = overview(&rig, real_time.as_ref(), &comparisons, &whisk)?.display().to_string();
     let elapsed_s = begun.elapsed().as_secs_f64();
     let demo = Demo { simulated: true, calibration, real_time, machine, comparisons, whisk, report, elapsed_s };
     if context.json { context.print_json(&demo) } else { context.print(demo.text().trim_end()) }
@@ -168,12 +168,18 @@ fn calibrate(rig: &mut Rig, context: &Context) -> Result<Calibrated, Failure> {
     Ok(Calibrated { values: finding.values, run: run.id().to_owned(), report })
 }
 
-/// All runs on one page, drawn over each other by experiment, with links to their own reports.
-fn overview(rig: &Rig, real_time: Option<&RunResult>, comparisons: &[Comparison]) -> Result<PathBuf, Failure> {
+/// All runs on one page, those of one FREE drawn over each other by experiment, with links to their own reports.
+fn overview(
+    rig: &Rig,
+    real_time: Option<&RunResult>,
+    comparisons: &[Comparison],
+    whisk: &Whisks,
+) -> Result<PathBuf, Failure> {
     let results = comparisons.iter().flat_map(|c| [&c.own, &c.published]).chain(real_time);
     let runs = results.map(|run| Run::open(Path::new(&run.folder))).collect::<Result<Vec<_>, _>>()?;
     let mut page = record::Comparison::of(&runs)?;
     page.title = "freerig demo".into();
+    page.links = whisk.both().map(|(name, run)| (whisked(name, run), format!("{}/report.html", run.id))).into();
     Ok(page.write(&rig.record.directory.join("demo.html"))?)
 }
 
@@ -333,9 +339,8 @@ impl Demo {
                 "", margins[0], margins[1]
             ));
         }
-        for (name, run) in [("open loop", &self.whisk.open_loop), ("closed loop", &self.whisk.closed_loop)] {
+        for (name, run) in self.whisk.both() {
             let Some(tip) = &run.tip else { continue };
-            let mm = |m: Option<f64>| m.map_or_else(|| "-".into(), |m| format!("{:.2} mm", 1e3 * m));
             let (rms, peak) = (mm(Some(tip.rms_error_m)), mm(Some(tip.peak_error_m)));
             let what = format!("{name}, estimated");
             line(format!("{:<12} {what:<22} {rms:>10} {peak:>10} {:>10}  {}", "whisk", "-", run.outcome));
@@ -354,6 +359,23 @@ impl Demo {
         line(format!("report: {}", self.report));
         text
     }
+}
+
+/// A whisk in a line.
+fn whisked(name: &str, run: &RunResult) -> String {
+    let plate = run.tip.iter().map(|tip| {
+        let [rms, peak, truth] = [Some(tip.rms_error_m), Some(tip.peak_error_m), tip.true_rms_error_m].map(mm);
+        format!("plate from its plan RMS {rms}, peak {peak}, true RMS (SIMULATED) {truth}")
+    });
+    let frees = run.frees.iter().filter(|free| free.rms_error_rad.is_some()).map(|free| {
+        let [rms, peak, last] = [free.rms_error_rad, free.peak_error_rad, free.final_error_rad].map(degrees);
+        format!("{} RMS {rms}, peak {peak}, final {last}", free.name)
+    });
+    format!("whisk and knob, {name}: {}", plate.chain(frees).collect::<Vec<_>>().join("; "))
+}
+
+fn mm(metres: Option<f64>) -> String {
+    metres.map_or_else(|| "-".into(), |m| format!("{:.2} mm", 1e3 * m))
 }
 
 fn row(experiment: &str, gains: &str, run: &RunResult) -> String {

@@ -34,6 +34,13 @@ pub struct Whisks {
     pub closed_loop: RunResult,
 }
 
+impl Whisks {
+    /// Both, with their names.
+    pub fn both(&self) -> [(&'static str, &RunResult); 2] {
+        [("open loop", &self.open_loop), ("closed loop", &self.closed_loop)]
+    }
+}
+
 /// Plans the eight, and runs it with the knob, both ways; the runs go to `runs`.
 pub fn run(runs: &Path, context: &Context) -> Result<Whisks, Failure> {
     let folder = tempfile::tempdir()?;

@@ -11,6 +11,7 @@ use crate::config::experiment::{Course, Experiment, Kind, read_text};
 use crate::daemon::api::{RunResult, Start};
 use crate::daemon::experiment::{self, Attendance, Job};
 use crate::daemon::{Stepped, procedure};
+use crate::signal::Quantity;
 use crate::units::{Angle, Pressure, Seconds};
 
 const EXAMPLES: &str = "\
@@ -19,7 +20,7 @@ machine can, the same bits for the same seed.
 
 Examples:
   freerig step                                       the paper's steps: 50, 20, 80 deg
-  freerig step --angles 30deg,-10deg --hold 4s
+  freerig step --angles 30deg,10deg --hold 4s
   freerig trajectory experiments/paper-trajectory.toml --repeat 5 --note \"after gluing\"
   freerig trajectory --stepped                       at once, on the simulated rig
   freerig sweep --pressures 0psi,2psi,4psi --stepped --seed 7";
@@ -32,6 +33,9 @@ Examples:
   freerig --rig experiments/module/rig.toml plan whisk --output whisk.toml
   freerig --rig experiments/module/rig.toml whisk whisk.toml --stepped
   freerig --rig experiments/module/rig.toml whisk whisk.toml --stepped --open-loop";
+
+/// An angle, rad, that nobody asks for: what shapes and units leave of zero.
+const NOISE: f64 = 1e-6;
 
 /// What an experiment takes.
 #[derive(Debug, clap::Args)]
@@ -124,6 +128,9 @@ pub fn run(kind: Kind, args: Args, open_loop: bool, context: &Context) -> Result
             path.display()
         )));
     }
+    for warning in beyond_pressure(&experiment, &rig) {
+        context.note(warning);
+    }
     if !args.stepped {
         let start = Start {
             kind: kind.name().into(),
@@ -153,6 +160,25 @@ pub fn run(kind: Kind, args: Args, open_loop: bool, context: &Context) -> Result
     job.repeats = args.repeat.unwrap_or(job.repeats);
     job.note = args.note.unwrap_or(job.note);
     stepped(&rig, &job)?.tell(context)
+}
+
+/// What is asked of a FREE on the side that its pressure does not turn it to; a load may do it all the same.
+fn beyond_pressure(experiment: &Experiment, rig: &Rig) -> Vec<String> {
+    let angles = experiment.program.axes.iter().zip(&rig.control.frees).filter_map(|(axis, free)| {
+        let axis = axis.as_ref().filter(|axis| axis.quantity == Quantity::Angle)?;
+        let (low, high) = axis.sequence.range();
+        let (farthest, side) =
+            if free.free.direction() > 0.0 { (low.min(0.0), "positive") } else { (high.max(0.0), "negative") };
+        (farthest.abs() > NOISE).then(|| {
+            format!(
+                "warning: {:.1} is asked of `{}`, which pressure turns to {side} angles only: without a load it stays \
+                 at 0 deg. Ask for {side} angles, or for 0 deg",
+                Angle::radians(farthest),
+                free.name
+            )
+        })
+    });
+    angles.collect()
 }
 
 /// Runs `job` on a simulated rig of its own.

@@ -94,7 +94,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
 const EXAMPLES: &str = "\
 The first hour, without any hardware:
   freerig demo                              ends with the path of its report
-  freerig step --angles 30deg,-10deg --stepped
+  freerig step --angles 30deg,10deg --stepped
   freerig run                               the daemon: leave it there, and in another terminal
   freerig arm && freerig trajectory && freerig disarm
   freerig report latest

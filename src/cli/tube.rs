@@ -6,7 +6,7 @@ use super::free::subject;
 use super::{Context, Failure};
 use crate::config::Rig;
 use crate::fem::material::Law;
-use crate::fem::tube::Tube;
+use crate::fem::tube::{Tube, TubeError};
 use crate::units::{Angle, Force, Length, Pressure};
 
 /// Flags that describe a tube; what is not given is the FREE's of rig.toml.
@@ -120,12 +120,39 @@ impl TubeArgs {
             law: law.map_err(|error| Failure::usage(error).remedy("give another --mu or --alpha"))?,
         };
         let tube = tube.validated().map_err(|error| {
-            Failure::usage(error).remedy("give other dimensions: `freerig model single --help` lists the flags")
+            Failure::usage(by_flag(error)).remedy("give another value, or correct the calibration that has it")
         })?;
         let length = self.length.map_or(calibration.free().length, Length::si);
         if length <= 0.0 {
-            return Err(Failure::usage(anyhow!("length {} must be positive", Length::metres(length))));
+            let error = anyhow!("--length {}: must be positive", Length::metres(length));
+            return Err(Failure::usage(error).remedy("give the length at rest"));
         }
         Ok((tube, length))
+    }
+}
+
+/// The same in the units of the flags, and with their names.
+fn by_flag(error: TubeError) -> anyhow::Error {
+    let mm = Length::metres;
+    match error {
+        TubeError::InnerRadius(radius) => anyhow!("--inner-diameter {}: must be positive", mm(2.0 * radius)),
+        TubeError::Wall { wall, inner_radius } => anyhow!(
+            "--wall {}: must be from {} to {} at an inner diameter of {}",
+            mm(wall),
+            mm(0.005 * inner_radius),
+            mm(2.0 * inner_radius),
+            mm(2.0 * inner_radius)
+        ),
+        TubeError::Gamma(gamma) => {
+            anyhow!("--gamma {}: its magnitude must be between 0.1 and 89.9 deg", Angle::radians(gamma))
+        }
+        TubeError::FiberWidth { width, share } => anyhow!(
+            "--fiber-width {}: must be from 0 mm to the fibre's share of the circumference, {}",
+            mm(width),
+            mm(share)
+        ),
+        TubeError::Fibers(_) => anyhow!("--fibers: {error}"),
+        TubeError::FiberStiffness(_) => anyhow!("--fiber-ea: {error}"),
+        TubeError::Material(_) => error.into(),
     }
 }

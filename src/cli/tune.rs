@@ -13,7 +13,7 @@ use crate::control::margin::{Loop, Margin};
 use crate::control::root_locus::LocusLoop;
 use crate::control::tune::{LimitedBy, Target, TuneError, Tuned, tune};
 use crate::control::{ControllerKind, FreeControl, Gains, ImuChannel};
-use crate::record::locus_sheet;
+use crate::record::{Sheet, locus_sheet};
 use crate::units::Angle;
 
 const EXAMPLES: &str = "\
@@ -65,6 +65,7 @@ pub struct Row {
 
 #[derive(Debug, Serialize)]
 struct Answer {
+    simulated: bool,
     free: String,
     controller: &'static str,
     tuned: Row,
@@ -123,6 +124,7 @@ pub fn run(args: Args, context: &Context) -> Result<(), Failure> {
     let beside = others
         .filter_map(|name| known.gains(name).zip(free.imu).map(|(gains, imu)| row(name, gains, free, &imu, period)));
     let answer = Answer {
+        simulated: rig.is_simulated(),
         free: free.name.clone(),
         controller: controller(free),
         tuned: found,
@@ -212,6 +214,7 @@ fn page(
         ("sampled loop".into(), format!("largest eigenvalue {:.5} per tick", tuned.margin.spectral_radius)),
     ];
     let sheet = locus_sheet(&format!("Root locus of {}", free.name), &locus, tuned, target, facts);
+    let sheet = Sheet { simulated: rig.is_simulated(), ..sheet };
     std::fs::create_dir_all(&rig.record.directory)?;
     let path = sheet.write(&rig.record.directory.join(format!("tune-{}.html", free.name)))?;
     Ok(path.display().to_string())
@@ -286,8 +289,11 @@ impl Answer {
                 if row.stable { "" } else { "UNSTABLE" }.into(),
             ]);
         }
-        let mut text =
-            format!("FREE {}, controller `{}`: gains and their margins on this rig\n\n", self.free, self.controller);
+        let simulated = if self.simulated { "SIMULATED: devices and FREE are simulated\n\n" } else { "" };
+        let mut text = format!(
+            "{simulated}FREE {}, controller `{}`: gains and their margins on this rig\n\n",
+            self.free, self.controller
+        );
         // Writing to a String cannot fail.
         let _ = write!(
             text,

@@ -120,6 +120,10 @@ fn read_course(section: &mut Section<'_>, kind: Kind, knob: Option<Turned<'_>>) 
         section.reject(key, "is empty", format!("write the values to visit, for example `{key} = [1, 2]`"));
         return None;
     }
+    // What is missing or wrong has been told.
+    if moving.is_nan() || hold.is_nan() {
+        return None;
+    }
     if shape == Shape::Step && moving > 0.0 {
         section.reject("move_s", "a step takes no time", "remove it, or write another shape: linear, cubic, quintic");
         return None;

@@ -53,6 +53,10 @@ impl Columns {
         for (line, text) in lines {
             table.row(line, text, &mut problems);
         }
+        if table.rows.is_empty() && problems.is_empty() {
+            let (rule, remedy) = ("the table has names, and no rows", "write values under the names, row by row");
+            problems.push(problem(path, Some(header), "", first, rule, remedy));
+        }
         problems.truncate(LISTED);
         if problems.is_empty() { Ok(table) } else { Err(problems) }
     }
@@ -81,10 +85,20 @@ impl Columns {
     /// The column of the quantity `stem`, in SI; `None` where there is none. `dimension` is what its unit must be of,
     /// empty for a quantity that has none (`percent` will do).
     pub(super) fn quantity(&self, stem: &str, dimension: &str, problems: &mut Vec<Problem>) -> Option<Vec<f64>> {
-        let (index, name) = self.names.iter().enumerate().find(|(_, name)| key::split(name).0 == stem)?;
-        let found = key::split(name).1.map_or("", |unit| unit.1);
-        let fits = found == dimension || (dimension.is_empty() && found == "fraction");
-        if !fits {
+        let fits = |name: &str| {
+            let found = key::split(name).1.map_or("", |unit| unit.1);
+            found == dimension || (dimension.is_empty() && found == "fraction")
+        };
+        let called: Vec<_> = self.names.iter().enumerate().filter(|(_, name)| key::split(name).0 == stem).collect();
+        let mut fitting = called.iter().filter(|(_, name)| fits(name));
+        let &(index, name) = fitting.next().or(called.first())?;
+        if let Some((_, other)) = fitting.next() {
+            let rule = format!("says the same as the column `{name}`");
+            let remedy = format!("remove one of the two, or rename it: `{stem}` is read from one column");
+            problems.push(problem(&self.path, Some(self.header), other, "", &rule, &remedy));
+            return None;
+        }
+        if !fits(name) {
             let (rule, remedy) = match dimension {
                 "" => ("must be without a unit".to_owned(), format!("name the column `{stem}`")),
                 _ => {
@@ -164,6 +178,8 @@ mod tests {
         assert!(said[1].contains("3 cells under 2 names"), "{said:?}");
         assert!(read("1,2\n").unwrap_err()[0].rule.contains("must name the columns"));
         assert!(read("").unwrap_err()[0].rule.contains("empty"));
+        let bare = &read("stretch,stress_mpa\n").unwrap_err()[0];
+        assert!(bare.rule.contains("no rows") && bare.remedy.contains("under the names"), "{bare}");
         let table = read("stretch_mm,stress,force_mm\n1,2,3\n").unwrap();
         let mut problems = Vec::new();
         for (stem, dimension) in [("stretch", ""), ("stress", "pressure"), ("force", "force")] {
@@ -172,5 +188,15 @@ mod tests {
         let said: Vec<_> = problems.iter().map(ToString::to_string).collect();
         assert!(said[0].contains("without a unit") && said[1].contains("`stress_mpa`"), "{said:?}");
         assert!(said[2].contains("`force_n`") && said[2].contains(":1:"), "{said:?}");
+    }
+
+    #[test]
+    fn a_quantity_that_two_columns_have_is_refused_and_one_of_another_dimension_is_none_of_it() {
+        let table = read("a_psi,t_degc,t_s,a_kpa\n1,20,2,3\n").unwrap();
+        let mut problems = Vec::new();
+        assert_eq!(table.quantity("t", "time", &mut problems), Some(vec![2.0]));
+        assert_eq!((table.quantity("a", "pressure", &mut problems), problems.len()), (None, 1));
+        let said = problems[0].to_string();
+        assert!(said.contains("a_kpa") && said.contains("`a_psi`") && said.contains("remove one"), "{said}");
     }
 }

@@ -107,9 +107,9 @@ pub(super) fn read_conditions(
 
 /// All three or none.
 fn geometry(section: &mut Section<'_>) -> Option<FittedGeometry> {
-    Some(FittedGeometry {
-        gamma: section.optional_number("winding_angle_deg", -89.0..=89.0)?,
-        length: section.optional_number("length_mm", 1.0..=2000.0)?,
-        radius: section.optional_number("fiber_radius_mm", 0.1..=200.0)?,
-    })
+    // Each is read, whatever is wrong with the others: what nobody reads is an unknown key.
+    let gamma = section.optional_number("winding_angle_deg", -89.0..=89.0);
+    let length = section.optional_number("length_mm", 1.0..=2000.0);
+    let radius = section.optional_number("fiber_radius_mm", 0.1..=200.0);
+    Some(FittedGeometry { gamma: gamma?, length: length?, radius: radius? })
 }

@@ -64,9 +64,6 @@ fn columns<const N: usize>(
     if problems.is_empty() && found.iter().any(Option::is_none) {
         table.lacks(wanted, &mut problems);
     }
-    if problems.is_empty() && table.lines().is_empty() {
-        table.lacks("rows", &mut problems);
-    }
     if problems.is_empty() { Ok(found.map(Option::unwrap_or_default)) } else { Err(ConfigError { problems }) }
 }
 

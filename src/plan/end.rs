@@ -4,6 +4,7 @@ use std::fmt;
 
 use super::Rest;
 use crate::fem::module::{Kind, Loads, ModuleError, Path, State};
+use crate::units::Pressure;
 
 /// A share of the way below which an end is not pinned down any further.
 const SHARE: f64 = 1e-4;
@@ -47,8 +48,8 @@ impl fmt::Display for End {
 
 impl fmt::Display for Ended {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [a, b, c, d] = self.pressures;
-        write!(f, "the module {} at {a:.0}, {b:.0}, {c:.0}, {d:.0} Pa", self.end)
+        let [a, b, c, d] = self.pressures.map(|p| Pressure::pascals(p).display_value());
+        write!(f, "the module {} at A {a:.2}, B {b:.2}, C {c:.2}, D {d:.2} psi", self.end)
     }
 }
 
@@ -132,4 +133,16 @@ pub(super) fn pressures(state: &State) -> [f64; 4] {
 
 pub(super) fn between(from: &[f64; 4], to: &[f64; 4], share: f64) -> [f64; 4] {
     std::array::from_fn(|i| if share == 1.0 { to[i] } else { from[i] + share * (to[i] - from[i]) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_end_tells_its_pressures_in_the_unit_of_the_tables() {
+        let pressures = [1.0, 0.0, 0.0, 3.4].map(|psi| Pressure::psi(psi).si());
+        let said = Ended { end: End::Buckling, pressures }.to_string();
+        assert_eq!(said, "the module buckles at A 1.00, B 0.00, C 0.00, D 3.40 psi");
+    }
 }

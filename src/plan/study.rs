@@ -58,6 +58,16 @@ pub struct Row {
     pub remark: String,
 }
 
+/// How the remark on a blocked FREE begins whose rubber folds.
+const FOLDS: &str = "blocked: as if the rubber did not fold";
+
+impl Row {
+    /// Whether the rubber of the blocked FREE may fold there.
+    pub fn folds(&self) -> bool {
+        self.remark.contains(FOLDS)
+    }
+}
+
 /// `candidate` at every pressure of the question.
 pub fn rows(candidate: &Candidate, question: &Question) -> Vec<Row> {
     let single = design(&candidate.tube, &question.pressures, question.tolerance).map_err(|error| error.to_string());
@@ -79,8 +89,7 @@ pub fn rows(candidate: &Candidate, question: &Question) -> Vec<Row> {
                     }
                 }
                 if let Some(beyond) = design.folds_beyond.filter(|beyond| pressure > *beyond && blocked.is_some()) {
-                    remarks
-                        .push(format!("blocked: as if the rubber did not fold, which it may from {beyond:.0} Pa on"));
+                    remarks.push(format!("{FOLDS}, which it may from {beyond:.0} Pa on"));
                 }
                 if design.error > question.tolerance {
                     let (error, wanted) = (100.0 * design.error, 100.0 * question.tolerance);

@@ -93,6 +93,8 @@ pub struct Comparison {
     pub rows: Vec<Row>,
     /// What should be borne in mind.
     pub remarks: Vec<String>,
+    /// Other pages: what they are, and their paths from this one.
+    pub links: Vec<(String, String)>,
     groups: Vec<Group>,
 }
 
@@ -132,7 +134,7 @@ impl Comparison {
         }
         let title = format!("{} runs", rows.len());
         let mut comparison =
-            Self { title, rows, remarks, groups: groups.into_iter().map(|(_, group)| group).collect() };
+            Self { title, rows, remarks, links: Vec::new(), groups: groups.into_iter().map(|(_, g)| g).collect() };
         comparison.relate();
         Ok(comparison)
     }
@@ -175,7 +177,7 @@ impl Comparison {
         });
         let groups: Vec<Group> = groups.collect();
         let title = "Two runs beside each other".into();
-        let mut comparison = Self { title, rows, remarks, groups };
+        let mut comparison = Self { title, rows, remarks, links: Vec::new(), groups };
         comparison.relate();
         if comparison.deviations().next().is_none() {
             let reason = "they have no angle at the same time since the start of their programs";
@@ -228,6 +230,7 @@ impl Comparison {
         }
         page.raw("</header><main><section><h2>Runs</h2>");
         self.table(&mut page, from);
+        page.links(&self.links);
         page.raw("</section>");
         for group in &self.groups {
             self.section(&mut page, group)?;

@@ -44,6 +44,18 @@ impl Page {
         let _ = writeln!(self.0, "<figure><figcaption>{}</figcaption>{svg}</figure>", escape(caption));
     }
 
+    /// A list of other pages: what they are, and their paths from this one.
+    pub(super) fn links(&mut self, links: &[(String, String)]) {
+        if links.is_empty() {
+            return;
+        }
+        self.raw("<ul>");
+        for (what, path) in links {
+            self.raw(&format!("<li><a href=\"{}\">{}</a></li>", escape(path), escape(what)));
+        }
+        self.raw("</ul>");
+    }
+
     /// A row of a table of facts.
     pub(super) fn fact(&mut self, name: &str, value: &str) {
         let _ = writeln!(self.0, "<tr><th>{}</th><td>{}</td></tr>", escape(name), escape(value));

@@ -52,13 +52,7 @@ impl Sheet {
             page.fact(name, value);
         }
         page.raw("</tbody></table>");
-        if !self.links.is_empty() {
-            page.raw("<ul>");
-            for (what, path) in &self.links {
-                page.raw(&format!("<li><a href=\"{}\">{}</a></li>", escape(path), escape(what)));
-            }
-            page.raw("</ul>");
-        }
+        page.links(&self.links);
         for (caption, views) in &self.views {
             page.figure(caption, &views.svg()?);
         }

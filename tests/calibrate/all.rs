@@ -87,6 +87,7 @@ fn tuned_gains_have_the_margins_asked_for_and_can_be_used() {
     let unstable = tuned["beside"].as_array().unwrap().iter().find(|r| r["name"] == "paper-pi").unwrap();
     assert_eq!(unstable["stable"], false);
     let page = fs::read_to_string(folder.path().join(tuned["report"].as_str().unwrap())).unwrap();
+    assert!(tuned["simulated"] == true && page.contains("SIMULATED"));
     assert!(page.contains("Root locus") && page.matches("<svg").count() == 2);
     edit(&folder.path().join("rig.toml"), "gains = \"freerig\"", "gains = \"tuned-model\"");
     let used = json(&freerig(folder.path(), &["tune", "--json"]));

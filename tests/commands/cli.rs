@@ -61,7 +61,11 @@ fn the_demo_runs_reports_and_writes_only_runs() {
     assert!(folder.path().join(demo["calibration"]["report"].as_str().unwrap()).is_file());
     let calibration = fs::read(folder.path().join("calibration/paper.toml")).unwrap();
     assert_eq!(calibration, include_bytes!("../../calibration/paper.toml"), "the demo leaves the calibration as it is");
-    assert!(folder.path().join(demo["report"].as_str().unwrap()).is_file());
+    let page = fs::read_to_string(folder.path().join(demo["report"].as_str().unwrap())).unwrap();
+    for whisk in ["open_loop", "closed_loop"] {
+        let id = demo["whisk"][whisk]["id"].as_str().unwrap();
+        assert!(page.contains(&format!("href=\"{id}/report.html\"")), "{id} is not on the page");
+    }
     assert_eq!(names(folder.path()), ["calibration", "rig.toml", "runs"]);
     assert!(names(&folder.path().join("runs")).iter().all(|name| !name.starts_with('.')), "nothing is left behind");
 }
@@ -76,6 +80,18 @@ fn the_same_seed_gives_the_same_figures_and_another_gives_others() {
     let (one, again, other) = (figures("1"), figures("1"), figures("2"));
     assert_eq!(one, again);
     assert_ne!(one, other);
+}
+
+#[test]
+fn an_angle_that_pressure_cannot_reach_is_warned_of() {
+    let folder = bench();
+    let said = |angles: &str| {
+        let args = ["step", "--stepped", "--angles", angles, "--hold", "0.2s"];
+        String::from_utf8_lossy(&freerig(folder.path(), &args).stderr).into_owned()
+    };
+    let text = said("30deg,-10deg");
+    assert!(text.contains("warning: -10.0 deg is asked of `paper`") && text.contains("positive angles"), "{text}");
+    assert!(!said("30deg,10deg").contains("warning"));
 }
 
 #[test]

@@ -125,10 +125,12 @@ fn what_cannot_be_answered_is_named_with_its_remedy() {
     for (args, words) in [
         (&["--pressure", "7"][..], &["no unit", "psi"][..]),
         (&["--pressure", "1psi", "--fiber-model", "line"], &["--fidelity solid"]),
-        (&["--pressure", "1psi", "--gamma", "0deg"], &["winding angle", "0.1 and 89.9"]),
+        (&["--pressure", "1psi", "--gamma", "0deg"], &["--gamma 0 deg", "0.1 and 89.9 deg"]),
         (&["--pressure", "1psi", "--tolerance", "1"], &["no unit", "%"]),
         (&["--pressure", "1psi", "--tolerance", "0.001%"], &["tolerance", "0.05 %"]),
-        (&["--pressure", "1psi", "--fiber-width", "9mm"], &["fibre width", "share"]),
+        (&["--pressure", "1psi", "--fiber-width", "9mm"], &["--fiber-width 9 mm", "share"]),
+        (&["--pressure", "1psi", "--wall=-1mm"], &["--wall -1 mm", " mm at an inner diameter of ", "remedy"]),
+        (&["--pressure", "1psi", "--length", "0mm"], &["--length 0 mm", "must be positive", "remedy"]),
     ] {
         let output = freerig(folder.path(), &[&["model", "single"], args].concat());
         let text = String::from_utf8_lossy(&output.stderr);
@@ -204,7 +206,11 @@ fn a_study_is_shared_killed_resumed_and_merged() {
     assert_eq!(best[0]["aim"], "rotation");
     assert!((best[0]["values"][1].as_f64().unwrap() - 0.7e-3).abs() < 1e-9, "{best:?}");
     let whole = std::fs::read(folder.path().join("study/designs.parquet")).unwrap();
-    assert!(std::fs::read_to_string(folder.path().join("study/report.html")).unwrap().contains("27 designs"));
+    let page = std::fs::read_to_string(folder.path().join("study/report.html")).unwrap();
+    for said in ["27 designs", "gamma=40deg..60deg:3, wall=0.7mm..0.9mm:3", "discretisation error, estimated"] {
+        assert!(page.contains(said), "{said}");
+    }
+    assert!(merged["discretisation_error_estimate"].as_f64().unwrap() > 0.0 && merged["missed"].is_u64());
     // A piece that is gone or damaged is computed again, to the same bits.
     std::fs::write(&piece, &kept[..kept.len() / 2]).unwrap();
     let damaged = question(&[]);

@@ -79,15 +79,30 @@ pub(super) fn run(_: &Size<'_>) -> Result<BenchSuite, Failure> {
             ("reference solutions".into(), "independent of freerig, to 1e-8 rad".into()),
             ("error".into(), "largest of the rotation, over the largest rotation".into()),
             ("time".into(), "processor time of one run of the whole course".into()),
+            (
+                "failed".into(),
+                format!(
+                    "Runge-Kutta's motion is lost where a step is longer than it is stable with: {:.2} ms where the \
+                     paper's FREE turns",
+                    1e3 * longest_step(&Free::paper())
+                ),
+            ),
         ],
         rows,
         claims,
-        caption: "Error against time over the step",
+        caption: "Error against time over the step, of the two trajectories; the other cases are in the rows",
         x_label: "log10 of the time in ms",
         y_label: "log10 of the relative error",
         curves,
         ..BenchSuite::default()
     })
+}
+
+/// The longest step, s, with which Runge-Kutta of order 4 is stable in the rotation of `free`, which is overdamped: it
+/// bears 2.785 times the time constant of the fastest decay.
+fn longest_step(free: &Free) -> f64 {
+    let (frequency, damping) = (free.natural_frequencies().1, free.damping_ratios().1);
+    2.785 / (frequency * (damping + (damping * damping - 1.0).sqrt()))
 }
 
 /// What is known of a case's rotation, and how freerig did.
@@ -267,4 +282,21 @@ fn runge_kutta(
     let k4 = slope(add(&k3, h), h)?;
     let next: [f64; 5] = std::array::from_fn(|i| x[i] + h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]));
     next.iter().all(|v| v.is_finite()).then(|| (*state, *integral) = (state_of(&next), next[4]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runge_kutta_is_lost_with_steps_longer_than_it_is_stable_with() {
+        let cases = cases().unwrap();
+        let case = cases.iter().find(|case| case.name == "paper, 5 psi").unwrap();
+        let rotations = rotations(case).unwrap();
+        let limit = longest_step(&case.free);
+        for steps in STEPS {
+            let error = largest_error(case, &rotations, runge_kutta, steps).unwrap();
+            assert_eq!(error.is_some(), 0.01 / f64::from(steps) < limit, "{steps}: {error:?}, {limit}");
+        }
+    }
 }

@@ -146,9 +146,6 @@ impl Report {
             None => format!("\nreached: within {:.4} mm", 1e3 * self.residual_m),
             Some(reason) => format!("\nNOT reached, {:.3} mm short: {reason}", 1e3 * self.residual_m),
         };
-        if let Some(stop) = &self.shortfall_at {
-            text += &format!("\nthere: {} at {}", stop.reason, psi(&stop.pressures_pa));
-        }
         let clearance = number(self.margin.clearance, 3);
         text +=
             &format!("\nmargin: {:.3} of the stiffness at rest, {clearance} of the clearance", self.margin.stiffness);

@@ -65,6 +65,13 @@ struct Report {
     swept: Vec<&'static str>,
     /// Designs without a free or a blocked equilibrium at the highest pressure.
     ended: Option<usize>,
+    tolerance: f64,
+    /// Largest of any design.
+    discretisation_error_estimate: Option<f64>,
+    /// Designs whose error the finest mesh leaves above the tolerance.
+    missed: Option<usize>,
+    /// Designs whose rubber may fold when they are blocked.
+    folds: Option<usize>,
     best: Vec<Best>,
     parquet: Option<String>,
     report: Option<String>,
@@ -134,6 +141,10 @@ pub fn run(
         pressure_pa: question.pressures.last().copied().unwrap_or(0.0),
         swept: sweeps.iter().map(|sweep| sweep.parameter.name()).collect(),
         ended: None,
+        tolerance: question.tolerance,
+        discretisation_error_estimate: None,
+        missed: None,
+        folds: None,
         best: Vec::new(),
         parquet: None,
         report: None,
@@ -163,6 +174,11 @@ fn merge(
     let (parquet, all) = study.merge()?;
     let last: Vec<&Row> = all.iter().filter(|row| row.pressure == report.pressure_pa).collect();
     report.ended = Some(last.iter().filter(|row| row.twist.is_none() || row.force.is_none()).count());
+    let errors = || last.iter().filter_map(|row| row.error);
+    report.discretisation_error_estimate = errors().reduce(f64::max);
+    report.missed = Some(errors().filter(|error| *error > question.tolerance).count());
+    let designs = all.chunk_by(|a, b| a.candidate == b.candidate);
+    report.folds = Some(designs.filter(|rows| rows.iter().any(Row::folds)).count());
     let asked = |(name, ..): &&Aim| {
         let of_module = matches!(*name, "sideways" | "lift");
         !of_module || sweeps.iter().any(|sweep| sweep.parameter == Parameter::Spacing)
@@ -217,7 +233,29 @@ impl Report {
             };
             facts.push((format!("most {}", best.aim), what));
         }
+        facts.extend(self.doubts());
         facts
+    }
+
+    /// What to think of the figures of all designs.
+    fn doubts(&self) -> Vec<(String, String)> {
+        let error = self.discretisation_error_estimate.map(|most| {
+            let (most, wanted, missed) = (100.0 * most, 100.0 * self.tolerance, self.missed.unwrap_or(0));
+            let missed = match missed {
+                0 => String::new(),
+                n => format!(
+                    "; {n} of {} designs miss the tolerance of {wanted} %, on the finest mesh there is",
+                    self.designs
+                ),
+            };
+            ("discretisation error, estimated".into(), format!("at most {most:.2} %{missed}"))
+        });
+        let folds = self.folds.filter(|n| *n > 0).map(|n| {
+            let what = "designs: their blocked values, and the error of these, are of rubber that has not folded at the \
+                        edge of the fibre's strip; column `remark` says from which pressure on";
+            ("blocked ones fold".into(), format!("{n} of {} {what}", self.designs))
+        });
+        error.into_iter().chain(folds).collect()
     }
 
     fn text(&self, sweeps: &[Sweep]) -> String {
@@ -240,8 +278,9 @@ impl Report {
         }
         let at = Pressure::pascals(self.pressure_pa);
         let ended = self.ended.unwrap_or(0);
+        let doubts: String = self.doubts().into_iter().map(|(name, value)| format!("\n{name}: {value}")).collect();
         format!(
-            "{table}\n\nat {at:.1}; {ended} of {} designs are past a limit there\n{computed}\nall designs: \
+            "{table}\n\nat {at:.1}; {ended} of {} designs are past a limit there{doubts}\n{computed}\nall designs: \
              {parquet}\ncurves: {report}",
             self.designs
         )

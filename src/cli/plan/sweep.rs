@@ -150,7 +150,9 @@ impl std::fmt::Display for Sweep {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Sweep { parameter, from, to, .. } = self;
         let (name, unit) = (parameter.name(), parameter.unit());
-        write!(f, "{name}={}{unit}..{}{unit}", parameter.shown(*from), parameter.shown(*to))?;
+        // As it was typed: the conversion from and to SI leaves some noise at the end.
+        let typed = |value: f64| (1e9 * parameter.shown(value)).round() / 1e9;
+        write!(f, "{name}={}{unit}..{}{unit}", typed(*from), typed(*to))?;
         self.count.map_or(Ok(()), |count| write!(f, ":{count}"))
     }
 }
@@ -221,6 +223,13 @@ mod tests {
         let mut keys: Vec<_> = all.iter().map(key).collect();
         keys.dedup();
         assert_eq!(keys.len(), all.len());
+    }
+
+    #[test]
+    fn a_sweep_reads_as_it_was_typed() {
+        for text in ["gamma=-30deg..54.7356deg:3", "wall=0.7mm..0.9mm", "mu=0.35MPa..0.7MPa", "fibers=4..6"] {
+            assert_eq!(text.parse::<Sweep>().unwrap().to_string(), text);
+        }
     }
 
     #[test]

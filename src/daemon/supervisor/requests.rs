@@ -13,7 +13,7 @@ use crate::daemon::experiment::{Attendance, Job};
 use crate::daemon::work::{Answer, Report, Work, carry_out};
 use crate::daemon::{Bench, DaemonError, LiveBench, byhand, procedure, validity};
 use crate::record::LiveView;
-use crate::signal::{RefusalCode, State, TickRecord};
+use crate::signal::{FaultCode, RefusalCode, State, TickRecord};
 
 impl Supervisor {
     /// What the socket asks.
@@ -30,10 +30,10 @@ impl Supervisor {
                 }
             },
             api::Request::Clear => match self.bench.latest() {
-                latest if latest.latched.is_empty() => Ok(Response::done("no fault is latched")),
+                latest if latest.latched.is_empty() => nothing_to_clear(self.desk.estop.load(Ordering::Acquire)),
                 latest => {
                     // Only a stop that has been seen is taken back.
-                    if latest.state == State::Faulted && self.work.is_none() {
+                    if latest.latched.contains(FaultCode::EmergencyStop) && self.work.is_none() {
                         self.desk.estop.store(false, Ordering::Release);
                     }
                     return self.procedure("clearing", answer, |bench, rig| {
@@ -183,6 +183,18 @@ impl Supervisor {
     }
 }
 
+/// The answer to a clear where nothing is latched: a stop that is set already will be by the next tick.
+fn nothing_to_clear(estop: bool) -> Result<Response, Problem> {
+    match estop {
+        false => Ok(Response::done("no fault is latched")),
+        true => Err(Problem::new(
+            ProblemKind::Refused,
+            "the emergency stop has just been set, and the rig has not taken it up yet",
+            "wait until `freerig status` says `faulted`, then `freerig clear` again",
+        )),
+    }
+}
+
 /// Whether a program may start.
 fn armed(record: &TickRecord) -> Result<(), Problem> {
     let refused = |error: &str, remedy: &str| Err(Problem::new(ProblemKind::Refused, error, remedy));
@@ -197,5 +209,17 @@ fn armed(record: &TickRecord) -> Result<(), Problem> {
             &format!("the rig is not ready: it stands in {}", state.name()),
             "`freerig status` shows what it does; try again when it holds",
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_that_no_tick_has_seen_is_not_said_to_be_clear() {
+        assert!(nothing_to_clear(false).is_ok());
+        let problem = nothing_to_clear(true).unwrap_err();
+        assert!(problem.error.contains("emergency stop") && problem.remedy.contains("`freerig clear`"), "{problem:?}");
     }
 }
