@@ -13,6 +13,8 @@ use crate::units::{Angle, Pressure};
 const LONGEST: f64 = 86_400.0;
 /// Shortest duration of a piece, s.
 const SHORTEST: f64 = 1e-3;
+/// A time, s, that breaks no rule about rates.
+const UNHURRIED: f64 = 100.0;
 /// Widest range of a number that the FREE's limits judge.
 const ANY: std::ops::RangeInclusive<f64> = -1e6..=1e6;
 
@@ -120,10 +122,13 @@ fn read_course(section: &mut Section<'_>, kind: Kind, knob: Option<Turned<'_>>) 
         section.reject(key, "is empty", format!("write the values to visit, for example `{key} = [1, 2]`"));
         return None;
     }
-    // What is missing or wrong has been told.
-    if moving.is_nan() || hold.is_nan() {
-        return None;
-    }
+    // A time that is missing or wrong has been told; the values are looked at all the same, with one that fits.
+    let moving = match shape {
+        _ if moving.is_finite() => moving,
+        Shape::Step => 0.0,
+        _ => UNHURRIED,
+    };
+    let hold = if hold.is_finite() { hold } else { UNHURRIED };
     if shape == Shape::Step && moving > 0.0 {
         section.reject("move_s", "a step takes no time", "remove it, or write another shape: linear, cubic, quintic");
         return None;
