@@ -9,10 +9,10 @@ use super::list::List;
 use super::tube::TubeArgs;
 use super::{Context, Failure};
 use crate::config::{Cache, Rig};
-use crate::fem::module::{Layout, Module, ModuleError, ModuleScene, SceneError};
-use crate::fem::rod::{LawError, Resolution, RodError};
+use crate::fem::module::{Layout, Module, ModuleScene, SceneError};
+use crate::fem::rod::Resolution;
 use crate::fem::section::Mesh;
-use crate::fem::section_law::{Errors, Request, SectionLawError};
+use crate::fem::section_law::{Errors, SectionLaw, SectionLawError};
 use crate::model::GRAVITY;
 use crate::units::{Acceleration, Angle, Force, Length, Mass, PASCAL_PER_PSI, Pressure};
 
@@ -141,15 +141,8 @@ pub fn build(scene: &ModuleScene, highest: f64, context: &Context) -> Result<Bui
     let cache = Cache::usual();
     let (mut law_errors, mut blunted) = (Errors::default(), false);
     let module = scene.module(Mesh::default(), Pressure::psi(range).si(), Resolution::DEFAULT, |request| {
-        let mut law = cache.section_law(request)?;
-        if !law.reaches(highest) {
-            let blunt = Request { mesh: Mesh::blunt(&request.tube), ..*request };
-            let other = cache.section_law(&blunt)?;
-            if other.table().coverage_at(highest) > law.table().coverage_at(highest) {
-                law = other;
-                blunted = true;
-            }
-        }
+        let law = SectionLaw::reaching(request, highest, |request| cache.section_law(request))?;
+        blunted |= !law.serves(request);
         let found = law.errors();
         law_errors.stretch = law_errors.stretch.max(found.stretch);
         law_errors.twist = law_errors.twist.max(found.twist);
@@ -176,7 +169,7 @@ fn refused(error: SceneError) -> Failure {
         SceneError::Law { .. } => {
             return Failure::failed(error).remedy("ask for lower pressures, or for another FREE");
         }
-        SceneError::Module(ModuleError::Rod { cause: RodError::Law(LawError::OutsideTable { .. }), .. }) => {
+        SceneError::Module(error) if error.is_beyond_law() => {
             "ask for lower pressures: the law has the highest one and eighths of it, and this FREE has no equilibria there"
         }
         SceneError::Module(_) => "give other values of the module's flags",

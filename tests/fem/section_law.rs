@@ -88,7 +88,7 @@ fn steep_fibres_sink_into_a_tube_that_is_pulled_and_its_law_has_the_states_befor
             let state = section.solve(psi * PSI, ends).unwrap();
             let jet = law.table().jet(state.stretch, 0.0, psi * PSI).unwrap_or_else(|e| panic!("{psi} psi: {e}"));
             let moved = jet.gradient.x / state.tangent[(0, 0)];
-            // The worst of free stretches between grid points is told, in whole cells with twist.
+            // As of the other angles: below the 0.3 % that the mesh leaves of motions of up to 0.05.
             assert!(moved.abs() < 1e-4, "{psi} psi: {moved}");
         }
     }
@@ -104,6 +104,13 @@ fn the_meshs_error_is_known_of_tubes_that_fold_when_they_are_blocked_too() {
     // both have, too.
     let blunt = SectionLaw::build(&Request { mesh: Mesh::blunt(&tube), tube, ..request(60.0) }).unwrap();
     assert!(law.reaches(3.5 * PSI) && !law.reaches(7.0 * PSI) && blunt.reaches(7.0 * PSI));
+    let of = |psi: f64| {
+        let asked = Request { tube, ..request(60.0) };
+        SectionLaw::reaching(&asked, psi * PSI, |r| {
+            Ok::<_, ()>(if law.serves(r) { law.clone() } else { blunt.clone() })
+        })
+    };
+    assert_eq!([3.5, 7.0].map(|psi| of(psi).unwrap().errors()), [law.errors(), blunt.errors()]);
     let free = Section::new(&tube, Mesh::level(1)).unwrap().solve(3.5 * PSI, Ends::FREE).unwrap();
     let off = blunt.table().jet(free.stretch, free.twist, 3.5 * PSI).unwrap().gradient.xy();
     let moved = free.tangent.fixed_view::<2, 2>(0, 0).into_owned().lu().solve(&off).unwrap();

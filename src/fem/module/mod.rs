@@ -39,7 +39,7 @@ pub use path::{Critical, Kind, Path, Point};
 pub use scene::{Free, Hand, Layout, LayoutError, ModuleScene, NAMES, SceneError};
 pub use state::{State, Wrench};
 
-use super::rod::{Basis, DualMatrix, Resolution, Rod, RodError};
+use super::rod::{Basis, DualMatrix, LawError, Resolution, Rod, RodError};
 
 /// A rod and where it stands.
 #[derive(Clone, Debug)]
@@ -61,6 +61,13 @@ pub struct Loads {
     pub moment: Vector3<f64>,
     /// Acceleration of gravity, m/s2 (z points from base to plate: a hanging module has +9.81). It acts on the plate.
     pub gravity: Vector3<f64>,
+}
+
+impl ModuleError {
+    /// Whether it is a rod's law that ends, and not the module.
+    pub fn is_beyond_law(&self) -> bool {
+        matches!(self, ModuleError::Rod { cause: RodError::Law(LawError::OutsideTable { .. }), .. })
+    }
 }
 
 /// Rods under a plate.

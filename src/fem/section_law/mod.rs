@@ -209,6 +209,25 @@ impl SectionLaw {
         &self.table
     }
 
+    /// The law of `request` that `law` makes or keeps, or, where its rubber has folded at `pressure` Pa and does so less on
+    /// the [blunt](Mesh::blunt) mesh, that mesh's: as the section itself answers beyond a fold.
+    ///
+    /// # Errors
+    /// As `law`.
+    pub fn reaching<E>(
+        request: &Request,
+        pressure: f64,
+        mut law: impl FnMut(&Request) -> Result<SectionLaw, E>,
+    ) -> Result<SectionLaw, E> {
+        let usual = law(request)?;
+        if usual.reaches(pressure) {
+            return Ok(usual);
+        }
+        let blunt = law(&Request { mesh: Mesh::blunt(&request.tube), ..*request })?;
+        let farther = blunt.table.coverage_at(pressure) > usual.table.coverage_at(pressure);
+        Ok(if farther { blunt } else { usual })
+    }
+
     /// Whether it has most of the states at `pressure` Pa that it has at rest. Where it has not, the rubber has folded.
     pub fn reaches(&self, pressure: f64) -> bool {
         self.table.coverage_at(pressure) >= REACHED * self.table.coverage_at(0.0)

@@ -7,8 +7,7 @@ use anyhow::anyhow;
 use crate::cli::scene::build;
 use crate::cli::{Context, Failure, Progress};
 use crate::fem::fidelity::{FidelityError, dead_length, rods_discretisation_error, rods_model_error, solid_answers};
-use crate::fem::module::{self, Answer, Limit, ModuleError, ModuleScene, Reason};
-use crate::fem::rod::{LawError, RodError};
+use crate::fem::module::{self, Answer, Limit, ModuleScene, Reason};
 use crate::fem::section::SectionError;
 use crate::fem::tube::Tube;
 use crate::units::Percent;
@@ -217,12 +216,7 @@ impl Found {
 
     /// Whether a row ends where the law's table does.
     fn beyond_law(&self) -> bool {
-        let law = |limit: &Limit| {
-            matches!(
-                limit.reason,
-                Reason::Module(ModuleError::Rod { cause: RodError::Law(LawError::OutsideTable { .. }), .. })
-            )
-        };
+        let law = |limit: &Limit| matches!(&limit.reason, Reason::Module(error) if error.is_beyond_law());
         self.answers.iter().filter_map(|answer| answer.limit.as_ref()).any(law)
     }
 
@@ -248,6 +242,8 @@ pub(super) fn percent(share: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fem::module::ModuleError;
+    use crate::fem::rod::{LawError, RodError};
 
     #[test]
     fn where_the_laws_table_ends_nothing_is_known_of_the_module() {
